@@ -82,7 +82,7 @@ def rolling_body(
 
     Its state is the upward vertical in the body, g1, g2, g3, a unit vector, and the angular velocity in the body, w1,
     w2, w3. The velocity V of the centre of mass follows from that of the point of contact, V + w × r = 0. Jourdain's
-    principle then gives the equations of Borisov and Mamaev (Phys. Usp. 46 (2003) 393); the energy is kept.
+    principle then gives the equations of Borisov and Mamaev (Phys. Usp. 46 (2003) 393). Its integral is the `energy`.
 
     Args:
         support: support function of its surface, homogeneous of degree one, seen from the centre of mass.
@@ -105,12 +105,15 @@ def rolling_body(
     def rates(q: Vector, u: Vector, t: Number) -> Vector:
         return cross(q, u[:3])
 
+    def energy(q: Vector, u: Vector, t: Number) -> Number:
+        return T(q, u, t) + mass * gravity * support(tuple(-x for x in q))
+
     vertical, velocities = ("g1", "g2", "g3"), ("V1", "V2", "V3")
     return {
         "T": T, "Q": Q, "f": f, "rates": rates,
         "coordinates": vertical, "quasi_velocities": ("w1", "w2", "w3", *velocities), "dependent": velocities,
         "norms": (vertical,), "structure_constants": RIGID_MOTION,
-        "labels": _LABELS,
+        "integrals": {"energy": energy}, "labels": _LABELS,
     }  # fmt: skip
 
 

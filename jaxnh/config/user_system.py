@@ -54,14 +54,31 @@ class UserInitial(InitialBlock, UserBlock):
         default=False, description="Move starts that are off the constraints to the nearest velocities on them"
     )
 
+    level: dict[str, float] | None = Field(
+        default=None,
+        description="Value of an integral of the system, by name, that the start's velocities are scaled to",
+    )
+
+    @model_validator(mode="after")
+    def _check_level(self, info: ValidationInfo) -> UserInitial:
+        """Check that the level is of an integral, if it is known which there are, and of one."""
+        assert isinstance(info.context, Names)
+        known = info.context.integrals
+        for name in self.level or {}:
+            if known is not None and name not in known:
+                raise rule(explain_unknown(name, known), f"level.{name}")
+        if len(self.level or {}) > 1:
+            raise rule("velocities are scaled to the level of one integral; leave out the others", "level")
+        return self
+
     @property
     def known(self) -> tuple[str, ...]:
         """Coordinates, of mechanics each with its velocity."""
         return self._or_own(self._names.states)
 
     def coordinates(self) -> Mapping[str, float]:
-        """Coordinates and velocities by name."""
-        return {name: self.__pydantic_extra__.get(name, 0.0) for name in self.known}
+        """Coordinates and velocities by name, and where one is given the level of an integral."""
+        return {name: self.__pydantic_extra__.get(name, 0.0) for name in self.known} | (self.level or {})
 
 
 class UserSweep(SweepBlock, UserBlock):
@@ -79,9 +96,11 @@ class UserSweep(SweepBlock, UserBlock):
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Parameters, then coordinates, of mechanics each with its velocity."""
-        parameters, _, states = self._names
-        return self._or_own(None if parameters is None or states is None else (*parameters, *states))
+        """Parameters, then coordinates, of mechanics each with its velocity, then integrals."""
+        parameters, _, states, integrals = self._names
+        if parameters is None or states is None or integrals is None:
+            return self._or_own(None)
+        return (*parameters, *states, *integrals)
 
 
 class UserAccuracy(Accuracy):
@@ -158,7 +177,8 @@ class UserSystem(SystemBlock, UserBlock):
 
     def check(self, initial: UserInitial, sweep: SweepBlock) -> None:
         """Check that no key gives what an axis gives."""
-        blocks = {"system": self.__pydantic_extra__, "initial": initial.__pydantic_extra__}
+        level = initial.level or {}
+        blocks = {"system": self.__pydantic_extra__, "initial": initial.__pydantic_extra__, "initial.level": level}
         for name in sweep.grids:
             for block, given in blocks.items():
                 if name in given:
@@ -166,5 +186,6 @@ class UserSystem(SystemBlock, UserBlock):
             if name in OF_RESULTS:
                 message = f"results have a variable called {name}; give the parameter another name to sweep it"
                 raise rule(message, f"sweep.{name}")
-        if "project" in initial.known:
-            raise rule("initial has a key project of its own; give the coordinate another name", "system.file")
+        for key in ("project", "level"):
+            if key in initial.known:
+                raise rule(f"initial has a key {key} of its own; give the coordinate another name", "system.file")

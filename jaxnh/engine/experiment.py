@@ -28,7 +28,7 @@ from jaxnh.config.user_system import UserSection
 from jaxnh.config.yaml_source import from_dict, from_text
 from jaxnh.engine.fitting import check_analysis, check_events, check_levels
 from jaxnh.engine.flows import particle_flow, section_of
-from jaxnh.engine.start_states import admit_starts, check_constraints, spread_indices
+from jaxnh.engine.start_states import admit_starts, check_starts, spread_indices
 from jaxnh.maps.section import System, begin
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
@@ -188,8 +188,7 @@ class Experiment(Config):
         Args:
             shared: values of shared axes; the first value of each where it is not named.
         """
-        coordinates = self.initial.coordinates()
-        swept = {name: grid.first for name, grid in self.sweep.grids.items() if name not in coordinates}
+        swept = {name: grid.first for name, grid in self.sweep.grids.items() if name not in self._of_starts}
         return self._flow({**swept, **(shared or {})})
 
     def dynamics(self, shared: Mapping[str, float] | None = None) -> System:
@@ -226,9 +225,11 @@ class Experiment(Config):
         flow = self.flow(shared)
         given = {**self.system.start(self.initial), **coordinates}
         state = flow.start({name: np.full(count, value, dtype=np.float64) for name, value in given.items()})
-        return begin(self.dynamics(shared), self._admit_starts(flow, state, own or {}))
+        return begin(self.dynamics(shared), self._admit_starts(flow, state, own or {}, given))
 
-    def _admit_starts(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
+    def _admit_starts(
+        self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]], given: Mapping[str, Any]
+    ) -> State:
         """Start states, those off the constraints failed or moved; here coordinates satisfy them by construction."""
         return start
 
@@ -238,16 +239,21 @@ class Experiment(Config):
         return tuple(self.system.start(self.initial))
 
     @property
+    def _of_starts(self) -> tuple[str, ...]:
+        """Names of all that start states have, and no parameters."""
+        return tuple(self.initial.coordinates())
+
+    @property
     def axes(self) -> tuple[Axis, ...]:
         """The axes of the sweep, in the order of the config; their product, in C order, is what is run.
 
         Made anew at every call.
         """
-        flow, coordinates, axes = self.flow(), self.initial.coordinates(), []
+        flow, of_starts, axes = self.flow(), self._of_starts, []
         for name, grid in self.sweep.grids.items():
             values = grid.grid()
             kind = "lane"
-            if name in coordinates:
+            if name in of_starts:
                 kind = "start"
             elif self._is_shared(name, values, flow):
                 kind = "shared"
@@ -305,7 +311,7 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
     _file: UserFile = PrivateAttr()
 
     def _try_out(self) -> None:
-        check_constraints(self.flow(), self.initial, self.sweep)
+        check_starts(self.flow(), self.initial, self.sweep, self._file.integrals)
         if self._file.discrete:
             self.check_map()
         self.check_clock(not self.autonomous)
@@ -327,8 +333,15 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
             or len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
         )
 
-    def _admit_starts(self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]]) -> State:
-        return admit_starts(flow, start, own, project=self.initial.project)
+    def _admit_starts(
+        self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]], given: Mapping[str, Any]
+    ) -> State:
+        levels = {name: given[name] for name in self._file.integrals if name in given}
+        return admit_starts(flow, start, own, levels, project=self.initial.project)
+
+    @property
+    def _of_starts(self) -> tuple[str, ...]:
+        return (*self.initial.known, *self._file.integrals)
 
     def _default_section(self) -> UserSection:
         return UserSection.model_validate({"coordinate": self._file.coordinates[0]}, context=self._file.names)

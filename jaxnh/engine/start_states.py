@@ -1,13 +1,16 @@
-"""Start states of a user's mechanical system: whether f = 0 holds there; the others fail or are moved."""
+"""Start states of a user's mechanical system: put on a level of an integral, and on f = 0, or failed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jax import lax
+from jaxtyping import Array, Float
 
 from jaxnh.analyses.options.base import rule
 from jaxnh.config.messages import join_words
@@ -16,11 +19,13 @@ from jaxnh.systems.flow import STATUS, Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion
 
 _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the digits of a config leave
+_ON_LEVEL = 1e-12  # of an integral, in units of its level + 1: a few roundings
+_IMPROVEMENTS = 64  # steps of Newton: each halves a factor that is far too large
 _MOST_CHECKED = 100_000  # lanes at which f is looked at
 
 
-def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> None:
-    """Check that the constraints hold at the start: at every point of the sweep, or at some points of a large one.
+def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: Sequence[str] = ()) -> None:
+    """Check that starts can be put on their level and that the constraints hold there, at some points of a large sweep.
 
     Where the start is swept it is enough that they hold somewhere: lanes that begin elsewhere fail (`admit_starts`).
 
@@ -28,45 +33,62 @@ def check_constraints(flow: Flow, initial: UserInitial, sweep: UserSweep) -> Non
         flow: the system at the first value of every axis.
         initial: the start state.
         sweep: the axes.
+        integrals: names of those that a start can be put on a level of.
 
     Raises:
         ValueError: they do not hold; the rule names the keys.
     """
     axes = _product({name: grid.grid() for name, grid in sweep.grids.items()})
     lanes = len(next(iter(axes.values())))
-    parameters = {name: values for name, values in axes.items() if name not in initial.known}
-    if not isinstance(flow, Lagrangian) or not flow.constrained:
+    parameters = {name: values for name, values in axes.items() if name not in (*initial.known, *integrals)}
+    given = {name: np.full(lanes, value) for name, value in initial.coordinates().items()} | axes
+    levels = {name: given[name] for name in integrals if name in given}
+    if len(levels) > 1:
+        raise rule("velocities are scaled to the level of one integral; leave out the others", "initial.level", "sweep")
+    if not isinstance(flow, Lagrangian) or not (flow.constrained or levels):
         if initial.project:
             raise rule("the system has no constraints; leave it out", "initial.project")
         return
-    coordinates = {name: np.full(lanes, value) for name, value in initial.coordinates().items()}
-    start = flow.start(coordinates | {name: values for name, values in axes.items() if name in coordinates})
+    start = flow.start({name: given[name] for name in initial.known})
+    if initial.project and flow.constrained:
+        start = jax.vmap(flow.nearest)(start, dict(parameters))
+    for name, values in levels.items():
+        start, reached = put_on_level(flow, start, parameters, name, values)
+        if not np.any(reached):
+            at_rest = _integral(flow, start._replace(v=tuple(0.0 * v for v in start.v)), parameters, name)
+            message = f"no multiple of the start's velocities has {name} = {values[0]:g}; at rest it is {at_rest[0]:g}"
+            raise rule(message, f"sweep.{name}", f"initial.level.{name}")
+    if not flow.constrained or initial.project:
+        return
     residuals, off = _off_constraint(flow, start, parameters)
-    swept = [f"sweep.{name}" for name in axes if name in coordinates]
-    if not np.any(off) or initial.project or (swept and not np.all(off)):
+    swept = [f"sweep.{name}" for name in axes if name not in parameters]
+    if not np.any(off) or (swept and not np.all(off)):
         return
     sizes = np.where(np.isfinite(residuals), np.abs(residuals), np.inf)
     number, lane = np.unravel_index(np.argmax(sizes), sizes.shape)
-    state, p = jax.tree.map(lambda leaf: jnp.asarray(leaf[lane]), (start, parameters))
-    near = flow.nearest(state, p)
     where = join_words([f"{name} = {values[lane]:g}" for name, values in axes.items()])
+    state, p = jax.tree.map(lambda leaf: jnp.asarray(leaf[lane]), (start, parameters))
+    message, keys = _describe_residual(flow, int(number), float(residuals[number, lane]), where, flow.nearest(state, p))
+    own = [key for key in swept if key.removeprefix("sweep.") in keys]
+    raise rule(message, *own, *(f"initial.{key}" for key in (*keys, *flow.names)), *swept, "initial", "system")
+
+
+def _describe_residual(
+    flow: Lagrangian, number: int, residual: float, where: str, near: Motion
+) -> tuple[str, Sequence[str]]:
+    """Describe a residual at the start that is not zero, and the nearest state; and what it is of, by name."""
     if number < flow.constraints:
-        what, keys, values = "velocities", flow.velocities, near.v
-        message = f"f[{number}] is {residuals[number, lane]:.3g} at the start with {where}, and must be 0"
+        kind, keys, values = "velocities", flow.velocities, near.v
+        message = f"f[{number}] is {residual:.3g} at the start with {where}, and must be 0"
     else:
         group = flow.norms[number - flow.constraints]
-        what, keys, values = "coordinates", [flow.names[i] for i in group], [near.q[i] for i in group]
-        squares = residuals[number, lane] + 1.0
-        message = (
-            f"the sum of the squares of {join_words(keys)} is {squares:.9g} at the start with {where}, and must be 1"
-        )
+        kind, keys, values = "coordinates", [flow.names[i] for i in group], [near.q[i] for i in group]
+        squares = f"the sum of the squares of {join_words(keys)} is {residual + 1.0:.9g}"
+        message = f"{squares} at the start with {where}, and must be 1"
     if np.all(np.isfinite(np.array(values))):
-        nearest = ", ".join(f"{key}: {float(v):.10g}" for key, v in zip(keys, values, strict=True))
-        message += f"; the nearest {what} that make it so are {nearest} (initial.project: true moves starts there)"
-    given = [f"initial.{key}" for key in (*keys, *flow.names)]
-    raise rule(
-        message, *(key for key in swept if key.removeprefix("sweep.") in keys), *given, *swept, "initial", "system"
-    )
+        nearest = ", ".join(f"{key}: {float(value):.10g}" for key, value in zip(keys, values, strict=True))
+        message += f"; the nearest {kind} that make it so are {nearest} (initial.project: true moves starts there)"
+    return message, keys
 
 
 def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
@@ -76,23 +98,79 @@ def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.
     return residuals, ~np.all(np.abs(residuals) <= limit, axis=0)
 
 
-def admit_starts(flow: Flow, start: Motion, p: Parameters, *, project: bool) -> Motion:
-    """Start states of a mechanical system (lanes,), those off its constraints failed: or moved onto them, if asked."""
-    if not isinstance(flow, Lagrangian) or not flow.constrained:
+def admit_starts(
+    flow: Flow, start: Motion, p: Parameters, levels: Mapping[str, np.ndarray], *, project: bool
+) -> Motion:
+    """Start states of a mechanical system (lanes,), put on their level, those off its constraints failed.
+
+    Those off the constraints are moved onto them before, if asked.
+    """
+    if not isinstance(flow, Lagrangian) or not (flow.constrained or levels):
         return start
-    _, off = _off_constraint(flow, start, p)
+    if project and flow.constrained:
+        _, off = _off_constraint(flow, start, p)
+        if np.any(off):
+            start = _replaced(start, off, jax.vmap(flow.nearest)(*_lanes_of((start, dict(p)), off)))
+    reached = np.ones(len(start.q[0]), bool)
+    for name, values in levels.items():
+        start, reached = put_on_level(flow, start, p, name, np.broadcast_to(values, reached.shape))
+    off = ~reached
+    if flow.constrained and not (project and not levels):
+        off = off | _off_constraint(flow, start, p)[1]
     if not np.any(off):
         return start
-    off_constraint = jax.tree.map(lambda leaf: leaf[off], (start, dict(p)))
-    if project:
-        moved = jax.vmap(flow.nearest)(*off_constraint)
-    else:
-        drift, reason = off_constraint[0].watch
-        nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), off_constraint[0])
-        moved = nowhere._replace(watch=(drift, np.full_like(reason, STATUS.index("off_constraint"))))
-    states = jax.tree.map(np.array, start)
-    for leaf, part in zip(jax.tree.leaves(states), jax.tree.leaves(moved), strict=True):
-        leaf[off] = part
+    drift, reason = _lanes_of(start.watch, off)
+    nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), _lanes_of(start, off))
+    return _replaced(start, off, nowhere._replace(watch=(drift, np.full_like(reason, STATUS.index("off_constraint")))))
+
+
+def put_on_level(
+    flow: Lagrangian, start: Motion, p: Parameters, name: str, level: np.ndarray
+) -> tuple[Motion, np.ndarray]:
+    """Start states (lanes,) with velocities so many times theirs that an integral has a value, and where there are any.
+
+    Newton on the factor, from one; of an integral that is quadratic in the velocities it comes down to the larger root.
+    """
+
+    with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
+        values = np.asarray(level, float)
+        factor, left = (np.asarray(x) for x in _factors(flow, name, start, dict(p), values))
+    reached = (factor > 0.0) & (np.abs(left) <= _ON_LEVEL * (1.0 + np.abs(values)))
+    factor = np.where(reached, factor, 1.0)
+    return start._replace(v=tuple(factor * v for v in start.v)), reached
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _factors(flow: Lagrangian, name: str, start: Motion, p: Parameters, level: Array) -> tuple[Array, Array]:
+    """Factors of the velocities of lanes, and what is left of the integral less its level with them."""
+
+    def factor_of(y: Motion, p: Parameters, level: Array) -> tuple[Array, Array]:
+        def excess(factor: Array) -> Array:
+            return flow.integral(name, 0.0, y._replace(v=tuple(factor * v for v in y.v)), p) - level
+
+        def improved(_: Any, factor: Array) -> Array:
+            value, slope = jax.jvp(excess, (factor,), (jnp.ones_like(factor),))
+            return factor - value / slope
+
+        factor = lax.fori_loop(0, _IMPROVEMENTS, improved, jnp.ones_like(level))
+        return factor, excess(factor)
+
+    return jax.vmap(factor_of)(start, p, level)
+
+
+def _integral(flow: Lagrangian, start: Motion, p: Parameters, name: str) -> np.ndarray:
+    return np.asarray(jax.vmap(lambda y, p: flow.integral(name, 0.0, y, p))(start, dict(p)))
+
+
+def _lanes_of(tree: Any, lanes: np.ndarray) -> Any:
+    return jax.tree.map(lambda leaf: leaf[lanes], tree)
+
+
+def _replaced(states: Motion, lanes: np.ndarray, others: Motion) -> Motion:
+    """States with some lanes replaced."""
+    states = jax.tree.map(np.array, states)
+    for leaf, part in zip(jax.tree.leaves(states), jax.tree.leaves(others), strict=True):
+        leaf[lanes] = part
     return states
 
 

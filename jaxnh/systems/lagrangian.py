@@ -110,6 +110,7 @@ class Lagrangian(DefinedFlow):
         """
         kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
         rates = dict.fromkeys(self.velocities, "quasi-velocity" if self.quasi else "velocity")
+        kinds |= dict.fromkeys(self.define(**self.values).get("integrals", ()), "integral")
         order = sorted(range(len(self.names)), key=self.ignorable.__getitem__)
         if self.quasi:
             return self.labelled(kinds | rates, pairs((*(self.names[i] for i in order), *self.velocities)))
@@ -177,6 +178,10 @@ class Lagrangian(DefinedFlow):
     def multipliers(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The multipliers λ of (6), one a constraint, of velocities that are left out as well."""
         return accelerations(self.equations(p), y.q, self.all_velocities(t, y, p), t).multipliers
+
+    def integral(self, name: str, t: ArrayLike, y: Motion, p: Parameters) -> Number:
+        """Value at a state of one of the definition's `integrals`."""
+        return self.definition(p)["integrals"][name](y.q, self.all_velocities(t, y, p), t)
 
     def residuals(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The m values of f, zero on the constraints, then the sums of squares that are one, less one."""

@@ -70,7 +70,7 @@ from jaxnh.systems.user_text import Names, read_text
 _CLOCKS = ("period", "time_unit")
 _OF_ALL = ("coordinates", "angles", "labels", "units")
 _FIRST_ORDER = ("rhs", "jumps", "switches", *_CLOCKS, *_OF_ALL)
-_MECHANICS = ("T", "Q", "f", "ignorable", *QUASI_KEYS, *_CLOCKS, *_OF_ALL)
+_MECHANICS = ("T", "Q", "f", "ignorable", "integrals", *QUASI_KEYS, *_CLOCKS, *_OF_ALL)
 _MAP = ("map", *_OF_ALL)
 _LISTS_OF_NAMES = ("coordinates", "angles", "ignorable", "quasi_velocities", "dependent")
 _OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a number a coordinate, or a constraint
@@ -102,6 +102,7 @@ class UserFile:
         parameters: names of the parameters with their defaults.
         coordinates: names of the coordinates.
         states: names of the coordinates of a state: of mechanics with velocities NAME_dot, or with quasi-velocities.
+        integrals: names of its integrals, of mechanics.
         mechanical: whether it says T and Q, so that each coordinate has a velocity.
         discrete: whether it says a map, so that nothing is integrated.
     """
@@ -123,7 +124,7 @@ class UserFile:
         self._periodic: set[tuple[float, ...]] = set()  # parameters at which the equations were seen to have the period
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
-        self.states = states_in(definition)
+        self.states, self.integrals = states_in(definition), tuple(definition.get("integrals", ()))
         self.discrete, self.mechanical = "map" in definition, "T" in definition
         self._eventful = any(definition.get(kind) for kind in EVENTS)
         if self.mechanical:
@@ -139,7 +140,7 @@ class UserFile:
     @property
     def names(self) -> Names:
         """Names of its parameters, coordinates and states."""
-        return Names(tuple(self.parameters), self.coordinates, self.states)
+        return Names(tuple(self.parameters), self.coordinates, self.states, self.integrals)
 
     @property
     def sha256(self) -> str:

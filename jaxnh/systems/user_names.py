@@ -10,7 +10,7 @@ from typing import Any
 
 from jaxnh.exceptions import InputError
 from jaxnh.systems.quasi_velocities import KEYS
-from jaxnh.systems.user_text import BESIDE_STATES, can_be_states, states_of
+from jaxnh.systems.user_text import BESIDE_STATES, OF_RESULTS, can_be_states, states_of
 
 _AS_IN = {"labels": "displacement", "units": "m"}
 
@@ -65,6 +65,8 @@ def check_names(definition: Mapping[str, Any], parameters: Sequence[str]) -> Non
     for name in every:
         if name in parameters:
             raise InputError(f"{name} names a parameter and a coordinate or velocity; rename one of them")
+    _check_integrals(definition, (*every, *parameters))
+    every += definition.get("integrals", ())
     for kind in ("labels", "units"):
         said = definition.get(kind, {})
         if not isinstance(said, Mapping) or not all(isinstance(word, str) for word in said.values()):
@@ -79,6 +81,16 @@ def check_names(definition: Mapping[str, Any], parameters: Sequence[str]) -> Non
                 raise InputError(f"{kind} names {name!r}, which is no coordinate")
     if len(set(definition.get("ignorable", ()))) == len(names):
         raise InputError("one coordinate at least must not be ignorable")
+
+
+def _check_integrals(definition: Mapping[str, Any], taken: Sequence[str]) -> None:
+    """Check that integrals are functions, with names that nothing else has."""
+    integrals = definition.get("integrals", {})
+    if not isinstance(integrals, Mapping) or not all(map(callable, integrals.values())):
+        raise InputError('integrals must be functions of (q, v, t) by name, as in integrals={"energy": energy}')
+    for name in integrals:
+        if not isinstance(name, str) or not name.isidentifier() or name in taken or name in OF_RESULTS:
+            raise InputError(f"integrals has {name!r}, which is no name or that of something else")
 
 
 def _check_identifiers(kind: str, names: Sequence[Any], example: str) -> None:

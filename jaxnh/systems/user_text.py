@@ -26,11 +26,13 @@ class Names(NamedTuple):
         parameters: of the function `system`.
         coordinates: positions, or what a right-hand side or a map acts on.
         states: coordinates, of mechanics each with its velocity NAME_dot, or all of them and then quasi-velocities.
+        integrals: of mechanics, functions of the state onto whose levels starts are put.
     """
 
     parameters: tuple[str, ...] | None = None
     coordinates: tuple[str, ...] | None = None
     states: tuple[str, ...] | None = None
+    integrals: tuple[str, ...] | None = None
 
 
 def read_text(path: Path) -> str:
@@ -78,24 +80,28 @@ def can_be_states(names: Sequence[str]) -> bool:
     return len(set(names)) == len(names) and not set(names) & set(BESIDE_STATES)
 
 
-def _coordinates(system: ast.FunctionDef) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
-    """Coordinates and states of the one definition with written-out coordinates; None where there is not one."""
+def _coordinates(system: ast.FunctionDef) -> tuple[tuple[str, ...] | None, ...]:
+    """Coordinates, states and integrals of the one definition with written-out names; None where there is not one."""
     definitions = [entries for entries in map(_entries, ast.walk(system)) if "coordinates" in entries]
     if len(definitions) != 1 or len(definitions[0].keys() & {"rhs", "T", "map"}) != 1:
-        return None, None
+        return None, None, None
     [definition] = definitions
     names = _literal_names(definition, "coordinates")
     if names is None:
-        return None, None
+        return None, None, None
     states: tuple[str, ...] | None = names
     if "rates" in definition:
         quasi, dependent = _literal_names(definition, "quasi_velocities"), _literal_names(definition, "dependent", ())
         if not quasi or dependent is None:
-            return None, None
+            return None, None, None
         states = states_of(names, [name for name in quasi if name not in dependent])
     elif "T" in definition:
         states = states_of(names)
-    return (names, states) if can_be_states(states) else (None, None)
+    integrals: tuple[str, ...] | None = ()
+    if "integrals" in definition:
+        entries = _entries(definition["integrals"])
+        integrals = tuple(entries) or None
+    return (names, states, integrals) if can_be_states(states) else (None, None, None)
 
 
 def _literal_names(

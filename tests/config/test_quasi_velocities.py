@@ -156,6 +156,63 @@ def test_energy_of_a_rolling_body(units):
     assert np.abs(np.subtract(end.v, start.v)).max() > 0.1
 
 
+LEVEL = """\
+system: {{file: {file}}}
+initial: {{g2: 0.6, g3: 0.8, w1: 0.3, w3: 1.5{more}}}
+sweep: {{{sweep}}}
+accuracy: {{solver: tsit5, steps: 20}}
+analyses:
+  portrait: {{}}
+"""
+PEBBLE = """\
+from jaxnh.mechanics import ellipsoid, rolling_body
+
+def system(mass=1.4, gravity=0.9):
+    tensor = ((1.1, 0.15, -0.1), (0.15, 1.6, 0.05), (-0.1, 0.05, 1.9))
+    return rolling_body(ellipsoid((1.0, 0.7, 0.5), (0.05, -0.1, 0.2)), mass, tensor, gravity)
+"""
+
+
+def pebbles(folder, sweep, more=""):
+    (folder / "pebble.py").write_text(PEBBLE)
+    return Experiment.from_text(LEVEL.format(file=folder / "pebble.py", sweep=sweep, more=more))
+
+
+def test_start_on_a_level(tmp_path):
+    """Velocities are scaled to an energy, given or swept, at each lane's own parameters; the direction stays."""
+    made = pebbles(tmp_path, "energy: {values: [2.0, 5.0, 0.5]}")
+    (axis,) = made.axes
+    assert (axis.name, axis.kind, axis.dim) == ("energy", "start", "start_energy")
+    start = made.start({"energy": axis.values}, 3)
+    assert np.abs(energy(start, 1.4, 0.9)[:2] - axis.values[:2]).max() < 1e-12
+    assert np.abs(start.v[2][:2] / start.v[0][:2] - 5.0).max() < 1e-13
+    assert start.watch[1].tolist() == [0.0, 0.0, 2.0]  # at rest it has more than 0.5: off_constraint
+    swept = pebbles(tmp_path, "gravity: {values: [0.5, 0.9]}", ", level: {energy: 3.0}")
+    gravity = np.array([0.5, 0.9])
+    start = swept.start({}, 2, own={"gravity": gravity})
+    assert np.abs([energy(start, 1.4, g)[i] - 3.0 for i, g in enumerate(gravity)]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("sweep", "more", "message"),
+    [
+        ("gravity: {values: [0.9]}", ", level: {energy: 0.5}", "initial.level.energy: no multiple of the start's"),
+        (
+            "gravity: {values: [0.9]}",
+            ", level: {enrgy: 3.0}",
+            "initial.level.enrgy: unknown key (did you mean energy?)",
+        ),
+        ("energy: {values: [3.0]}", ", level: {energy: 3.0}", "energy is swept; leave it out of initial.level"),
+        ("energy: {values: [0.1, 0.2]}", "", "sweep.energy: no multiple of the start's velocities has energy = 0.1"),
+    ],
+)
+def test_wrong_levels(tmp_path, sweep, more, message):
+    with pytest.raises(ConfigError) as refused:
+        pebbles(tmp_path, sweep, more)
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
 @pytest.mark.slow
 def test_exponents_of_a_rolling_body():
     """Their sum is the mean divergence; the energy and the flow give two that are zero."""
