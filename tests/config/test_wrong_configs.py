@@ -34,7 +34,7 @@ WRONG = {
     "a coarse Newton": (TABLE, "accuracy={precision: float32}", "accuracy.precision: float32 is too coarse for Newton"),
     "a section beside a clock": (TABLE, "section={}", "section: this scene has a clock, and is seen at its strobes"),
     "a user's parameter": (GOVERNOR, "system.drove=1", "system.drove: unknown key (did you mean drive?); known keys are file"),
-    "a user's coordinate": (GOVERNOR, "initial.z=1", "initial.z: unknown key; known keys are project, x, x_dot"),
+    "a user's coordinate": (GOVERNOR, "initial.z=1", "initial.z: unknown key; known keys are project, level, x, x_dot"),
     "a user's axis": (GOVERNOR, "sweep.omege={values: [1.0]}", "sweep.omege: unknown key"),
     "a user's section": (GOVERNOR, "section.coordinate=z", "section.coordinate: unknown key; known keys are x, y"),
     "a size of no coordinate": (GOVERNOR, "accuracy.scale={z: 1.0}", "accuracy.scale.z: unknown key; known keys are x, x_dot"),
@@ -166,7 +166,7 @@ def test_the_same_models_check_names_that_only_the_run_file_gives(tmp_path):
     assert load(path).coordinates == ("x0", "x1")
     assert load_config(path, ["initial.x7=1.0"]).title == ""
     told = message(load, path, ["initial.x7=1.0"])
-    assert told == "command line: initial.x7: unknown key; known keys are project, x0, x1"
+    assert told == "command line: initial.x7: unknown key; known keys are project, level, x0, x1"
     told = message(load, path, ["accuracy.scale={x7: 1.0}"])
     assert told == "command line: accuracy.scale.x7: unknown key; known keys are x0, x1"
     assert message(load_config, path, ["system.b=1.0"]).startswith("command line: system.b: unknown key")
