@@ -147,9 +147,12 @@ class Lagrangian(DefinedFlow):
         if not bool(jnp.isnan(self.rhs(t, y, p).watch[1])):
             return ""
         mass = np.array(matrices(equations, (*y.q, *self.all_velocities(t, y, p), t), len(y.q))[0], float)
-        if np.linalg.matrix_rank(mass) == len(mass):
-            return "the constraints f are not independent: df/dv has not the full rank"
         names = self.quasi.everything if self.quasi else self.velocities
+        if np.linalg.matrix_rank(mass) == len(mass):
+            if self.quasi and self.quasi.dependent:
+                given = ", ".join(names[i] for i in self.quasi.dependent)
+                return f"the constraints f do not give {given}: their derivatives by these are a singular matrix"
+            return "the constraints f are not independent: df/dv has not the full rank"
         without = [name for name, row in zip(names, mass, strict=True) if not row.any()]
         missing = f": T has no term with the square of {', '.join(without)}" if without else ""
         return f"the mass matrix, the second derivatives of T by the velocities, is singular{missing}"
