@@ -3,12 +3,12 @@
 A step keeps to the branch of the field that it begins with, so that it is a step of a smooth field, whose order it has.
 After it, heights of walls and surfaces and their rates at both ends say whether one has been passed, as in `crossings`;
 the step is then taken anew, shorter, to end at the first of them. There the state jumps, or the field changes, and the
-rest of the step follows. Tangents pass by saltation matrices (`saltation`).
+rest of the step follows. Tangents pass by saltation matrices (`saltation`). What holds a motion, which slides along it
+or rests on it, has the side 0, and in place of its height that of the release, which is located like any other event.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -31,13 +31,16 @@ from jaxnh.maps.general_flow import (
     stages_in_loop,
 )
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.maps.saltation import EventPassage, Heights, pick, side_from
+from jaxnh.maps.saltation import Arrival, EventPassage, Heights, Reading, any_of, pick, side_from
 from jaxnh.solvers import WrittenOutRungeKutta
-from jaxnh.systems.flow import CHATTERING, Parameters
+from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
 
 _MOST_EVENTS = 64
 """Jumps and switches in one step; a lane that has more is taken to have infinitely many in finite time."""
+
+_MOST_IMPACTS = 4096
+"""The same where motions may rest on walls, which they come to by many impacts."""
 
 _BEGINS_ON_WALL = 1e-12  # of a step's way, where a period begins: a state there leaves, and does not arrive
 
@@ -49,8 +52,8 @@ class _March(NamedTuple):
         moving: the state, with tangents and the logarithm of volume where they are asked for.
         t: time of it.
         step: number of the step that it is in.
-        height, rate: of walls and surfaces, and their rates.
-        side: +1 above, −1 below.
+        height, rate: of walls and surfaces, and their rates; of what holds the motion its release.
+        side: +1 above, −1 below, 0 held there.
         rounding: height below which the side is as it was.
         stretch: length of time within which a passage is looked for.
         share: of it that the next trial goes over.
@@ -61,7 +64,7 @@ class _March(NamedTuple):
         settled: whether the next trial ends there.
         again: whether another wall has been seen before the one that was sought first.
         events: number of stops in this step.
-        lost: whether the state is not finite.
+        lost: whether the state is not finite, or held twice.
     """
 
     moving: Moving
@@ -133,11 +136,36 @@ class JumpingStrobe(ReturnMap):
         lane = _Lane(self, EventPassage(self.system, own, by_p, volume=volume))
         first = as_batched(lane.begin(begun, jnp.asarray(self.grid)), begun.state.y[0])
         ended = lax.while_loop(lane.unfinished, lane.trial, first)
-        stuck = ended.events > _MOST_EVENTS
+        stuck = ended.events > lane.most_events
         reason = ended.moving.state.reason
         reason = jnp.where(stuck & (reason == 0.0), 1.0 * CHATTERING, reason)
         kept = jax.tree.map(lambda x: jnp.where(stuck | ended.lost, jnp.nan, x), ended.moving)
         return kept._replace(state=PiecewisePoint(kept.state.y, reason))
+
+
+class _Passages(NamedTuple):
+    """Passages within what a trial has gone over.
+
+    Attributes:
+        sides: +1 above, −1 below, at its end.
+        passed: whether each wall or surface is passed.
+        seen: whether one is that is looked for.
+        first: number of the first of these.
+        guess: of the share of the trial at which it is.
+        low, high: part of the trial that has it.
+        sure: whether both its sides have been seen.
+        turn: where a height first turns near zero, as a share; infinite where none does.
+    """
+
+    sides: Heights
+    passed: list[Array]
+    seen: Array
+    first: Array
+    guess: Array
+    low: Array
+    high: Array
+    sure: Array
+    turn: Array
 
 
 class _Lane:
@@ -145,36 +173,43 @@ class _Lane:
 
     Attributes:
         strobe: the map.
+        most_events: a lane with more in one step is taken to have infinitely many in finite time.
     """
 
     def __init__(self, strobe: JumpingStrobe, passage: EventPassage) -> None:
         self.strobe, self._passage = strobe, passage
-        self._system, self._jumps = strobe.system, len(strobe.system.jumps)
-        self._either = [way == "both" for way in strobe.system.jumps] + [True] * strobe.system.switches
+        system = self._system = strobe.system
+        self._jumps, self._holding = len(system.jumps), system.loses_rank
+        self._either = [way == "both" for way in system.jumps] + [True] * system.switches
+        self.most_events = _MOST_IMPACTS if any(system.holds[: self._jumps]) else _MOST_EVENTS
 
     # ---- the loop
 
     def unfinished(self, march: _March) -> Array:
         """Return whether steps are left that can be taken."""
-        return (march.step < self.strobe.steps) & ~march.lost & (march.events <= _MOST_EVENTS)
+        return (march.step < self.strobe.steps) & ~march.lost & (march.events <= self.most_events)
 
     def begin(self, moving: Moving, grid: Array) -> _March:
         """A lane at the beginning of the first step."""
         t, length, state = grid[0], grid[1] - grid[0], moving.state
         height = self._system.heights(t, state, self._passage.own)
         signs = tuple(jnp.where(h >= 0.0, 1.0, -1.0) for h in height)
-        rate = self._passage.rates_of_heights(t, state, self._passage.branch(t, state, signs))
+        reading = self._passage.read(t, moving, signs)
         zero, none, no = jnp.zeros_like(state.y[0]), jnp.int32(0), jnp.bool_(False)
         side = tuple(
             side_from(h, r, _BEGINS_ON_WALL * jnp.abs(r) * length, sign if either else -jnp.ones_like(sign))
-            for h, r, sign, either in zip(height, rate, signs, self._either, strict=True)
+            for h, r, sign, either in zip(height, reading.rate, signs, self._either, strict=True)
         )
+        lost = ~_finite(state)
+        if self._holding:
+            reading, side, twice = self._begin_held(reading, side)
+            lost |= twice
         return _March(
-            moving=moving,
+            moving=reading.moving,
             t=zero + t,
             step=none,
-            height=height,
-            rate=rate,
+            height=reading.height,
+            rate=reading.rate,
             side=side,
             rounding=(zero,) * len(height),
             stretch=zero + length,
@@ -187,51 +222,34 @@ class _Lane:
             settled=no,
             again=no,
             events=none,
-            lost=~_finite(state),
+            lost=lost,
         )
 
     def trial(self, march: _March) -> _March:
         """Take one step: a whole one, one that locates a passage within it, or the one that ends there."""
-        count, grid = len(march.height), jnp.asarray(self.strobe.grid)
+        grid = jnp.asarray(self.strobe.grid)
         seeking, end = march.shots == 0, grid[march.step + 1]
         stretch = jnp.where(seeking, end - march.t, march.stretch)
         share = jnp.where(seeking, 1.0, march.share)
         h = share * stretch
         t = jnp.where(seeking, end, march.t + h)
-        ahead = self._advance(march.t, h, march.side[self._jumps :], march.moving)
-        state, finite = ahead.state, _finite(ahead.state)
-        field = self._passage.branch(t, state, march.side)
-        height = self._system.heights(t, state, self._passage.own)
-        rate = self._passage.rates_of_heights(t, state, field)
-
-        # Passages within what this trial has gone over, and of heights that turn near zero the turns.
-        kept = [
-            jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
-            for x, r, s in zip(height, march.rounding, march.side, strict=True)
-        ]
-        ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, rate, strict=True)]
-        between = [
-            crossing_between(e, side, either=either)
-            for e, side, either in zip(ends, march.side, self._either, strict=True)
-        ]
-        passed = [part[3] & finite for part in between]
-        looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in range(count)]
-        checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
-        guesses = [_guess(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
-        turns = [near_turn(e, side) for e, side in zip(ends, march.side, strict=True)]
-        turns = [(turn, near & seeking & finite) for turn, near in turns]
-        candidates = jnp.stack([jnp.where(hit, guess, jnp.inf) for hit, guess in zip(checked, guesses, strict=True)])
-        first = jnp.argmin(candidates).astype(jnp.int32)
-        seen = _any(checked)
-        earliest = jnp.min(jnp.stack([jnp.where(near, turn, jnp.inf) for turn, near in turns]))
-        pausing = ~seen & jnp.isfinite(earliest)
+        ahead = self._advance(march.t, h, march.side, march.moving)
+        if self._holding:
+            ahead = self._passage.bring_back(t, ahead, march.side)
+        reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
+        passages = self._passages(march, reading, h, seeking, finite)
+        seen, sought = passages.seen, march.sought
+        pausing = ~seen & jnp.isfinite(passages.turn)
+        fresh = seen | pausing  # a passage or a turn to go to
 
         # Newton on the one that is sought.
-        sought = march.sought
+        before = self._sides_of_heights(march.side)
         either = pick(sought, [jnp.bool_(x) for x in self._either])
-        side = pick(sought, march.side)
+        if self._holding:
+            either |= pick(sought, march.side) == 0.0
+        side = pick(sought, before)
         rising = jnp.where(either, -side, 1.0)
-        sought_height, sought_rate = pick(sought, height), pick(sought, rate)
+        sought_height, sought_rate = pick(sought, reading.height), pick(sought, reading.rate)
         better, *bracket = improve_share(share, sought_height, sought_rate * stretch, rising, march.low, march.high)
         beyond = sought_height * rising >= 0.0
         sure = march.sure | jnp.where(~either & (side > 0.0), ~beyond, beyond)
@@ -241,18 +259,17 @@ class _Lane:
         onwards = seeking & ~seen & ~pausing
         moved = onwards | arrived
         event = arrived & march.sure & (sought_rate * rising > 0.0)
-        sides = tuple(
-            jnp.where(arrived & hit, old, part[0]) for hit, old, part in zip(passed, march.side, between, strict=True)
-        )
-        after = self._passage.after_event(
-            t, ahead, field, height, rate, sides, march.rounding, stretch, sought, side, event
-        )
+        arrival = Arrival(event, sought, side, stretch)
+        if self._holding:
+            arrival = arrival._replace(released=pick(sought, march.side) == 0.0, step=end - grid[march.step])
+        after = self._passage.after_event(reading, self._sides_after(march, passages, arrived), march.rounding, arrival)
+        sound = finite & _finite(after.moving.state)
+        if self._holding:
+            sound &= after.moving.state.reason != CODIMENSION_TWO
 
         def chosen(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(moved, n, o), new, old)
 
-        fresh = seen | pausing  # a passage or a turn to go to
-        crossed = [part[0] != old for part, old in zip(between, march.side, strict=True)]
         return _March(
             moving=chosen(after.moving, march.moving),
             t=jnp.where(moved, t, march.t),
@@ -264,16 +281,16 @@ class _Lane:
                 lambda r, o: jnp.where(onwards, 0.0, jnp.where(moved, r, o)), after.rounding, march.rounding
             ),
             stretch=jnp.where(seen, h, stretch),
-            share=jnp.where(moved, 1.0, jnp.where(seen, pick(first, guesses), jnp.where(pausing, earliest, better))),
-            low=jnp.where(fresh, pick(first, [part[1] for part in between]), bracket[0]),
-            high=jnp.where(fresh, pick(first, [part[2] for part in between]), bracket[1]),
+            share=jnp.where(moved, 1.0, jnp.where(seen, passages.guess, jnp.where(pausing, passages.turn, better))),
+            low=jnp.where(fresh, passages.low, bracket[0]),
+            high=jnp.where(fresh, passages.high, bracket[1]),
             shots=jnp.where(moved, 0, jnp.where(fresh, 1, march.shots + 1)),
-            sought=jnp.where(seen, first, jnp.where(pausing, count, sought)),
-            sure=jnp.where(seen, pick(first, crossed), jnp.where(pausing, False, sure)),
+            sought=jnp.where(seen, passages.first, jnp.where(pausing, len(march.height), sought)),
+            sure=jnp.where(seen, passages.sure, jnp.where(pausing, False, sure)),
             settled=jnp.where(moved | seen, False, pausing | (~seeking & near)),
             again=jnp.where(moved, False, march.again | (seen & ~seeking)),
             events=jnp.where(onwards, 0, jnp.where(arrived, march.events + 1, march.events)),
-            lost=moved & ~(finite & _finite(after.moving.state)),
+            lost=moved & ~sound,
         )
 
     # ---- parts of a trial
@@ -295,18 +312,74 @@ class _Lane:
         in_loop = stages_in_loop(system, solver, len(moving.tangents) + lane.volume)
         return (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
 
+    def _passages(self, march: _March, reading: Reading, h: Array, seeking: Array, finite: Array) -> _Passages:
+        """Locate passages within what a trial of length h has gone over, and turns of heights near zero."""
+        count, before = len(march.height), self._sides_of_heights(march.side)
+        kept = [
+            jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
+            for x, r, s in zip(reading.height, march.rounding, before, strict=True)
+        ]
+        ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
+        between = [
+            crossing_between(e, side, either=either) for e, side, either in zip(ends, before, self._either, strict=True)
+        ]
+        passed = [part[3] & finite for part in between]
+        looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in range(count)]
+        checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
+        guesses = [_guess(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
+        turns = [near_turn(e, side) for e, side in zip(ends, before, strict=True)]
+        turns = [(turn, near & seeking & finite) for turn, near in turns]
+        candidates = jnp.stack([jnp.where(hit, guess, jnp.inf) for hit, guess in zip(checked, guesses, strict=True)])
+        first = jnp.argmin(candidates).astype(jnp.int32)
+        crossed = [part[0] != old for part, old in zip(between, before, strict=True)]
+        return _Passages(
+            sides=tuple(part[0] for part in between),
+            passed=passed,
+            seen=any_of(checked),
+            first=first,
+            guess=pick(first, guesses),
+            low=pick(first, [part[1] for part in between]),
+            high=pick(first, [part[2] for part in between]),
+            sure=pick(first, crossed),
+            turn=jnp.min(jnp.stack([jnp.where(near, turn, jnp.inf) for turn, near in turns])),
+        )
+
+    def _sides_of_heights(self, sides: Heights) -> Heights:
+        """The sides on which heights are, that of a release, which is positive before it, included."""
+        if not self._holding:
+            return sides
+        return tuple(
+            jnp.where(side == 0.0, 1.0, side) if holds else side
+            for side, holds in zip(sides, self._system.holds, strict=True)
+        )
+
+    def _sides_after(self, march: _March, passages: _Passages, arrived: Array) -> Heights:
+        """Sides at the end of a trial, before the event that it may end with."""
+        sides = tuple(
+            jnp.where(arrived & hit, old, new)
+            for hit, old, new in zip(passages.passed, march.side, passages.sides, strict=True)
+        )
+        if not self._holding:
+            return sides
+        return tuple(
+            jnp.where(old == 0.0, 0.0, new) if holds else new
+            for old, new, holds in zip(march.side, sides, self._system.holds, strict=True)
+        )
+
+    def _begin_held(self, reading: Reading, sides: Heights) -> tuple[Reading, Heights, Array]:
+        """A lane at the beginning, on what holds it; its sides, and whether it is held twice."""
+        passage, (t, moving) = self._passage, reading[:2]
+        found = self._system.held_sides(t, moving.state, passage.own, sides)
+        twice = sum(jnp.where(side == 0.0, 1, 0) for side in found) > 1
+        reason = jnp.where(twice, 1.0 * CODIMENSION_TWO, moving.state.reason)
+        moving = moving._replace(state=moving.state._replace(reason=reason))
+        return passage.read(t, passage.bring_back(t, moving, found), found), found, twice
+
 
 def _guess(ends: tuple[Array, Array, Array, Array], low: Array, high: Array) -> Array:
     """A first guess of where a height passes zero, by the straight line, within the part that has it."""
     straight = ends[0] / (ends[0] - ends[2])
     return jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
-
-
-def _any(flags: Sequence[Array]) -> Array:
-    flag = flags[0]
-    for other in flags[1:]:
-        flag |= other
-    return flag
 
 
 def _finite(state: PiecewisePoint) -> Array:

@@ -17,14 +17,65 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxnh.maps.general_flow import Moving, linearise
-from jaxnh.systems.flow import Parameters
+from jaxnh.systems.flow import CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
+from jaxnh.systems.sliding import HeldMotion, is_on
 
 _ON_WALL = 1e-9  # a state as near as this after its jump is on the wall: of a step's way across
 _BOTH_ROUNDINGS = 4.0  # times the height at which a wall was met, for that of the state after
+_AT_REST = 1e-6  # of a step: impacts that would all have been by then are over
+_UNSEEN_BOUNCE = 16.0  # times the height at which a wall was met: a bounce no higher is rounding
+_CANCELLED = 1e-14  # of two numbers, is their difference rounding
+_NOWHERE = 1e-300  # height of a state that is on a surface, to keep its side
 
 Heights = tuple[Array, ...]
 """A number for each jump, then for each switch."""
+
+
+class Reading(NamedTuple):
+    """A lane at the end of a trial.
+
+    Attributes:
+        t: time.
+        moving: the state, with tangents and volume.
+        field: its time derivative.
+        height, rate: of walls and surfaces, and their rates; of what holds the motion its release.
+    """
+
+    t: Array
+    moving: Moving
+    field: PiecewisePoint
+    height: Heights
+    rate: Heights
+
+
+class Arrival(NamedTuple):
+    """An event that a trial may end at.
+
+    Attributes:
+        event: whether there is one.
+        sought: number of the wall or surface.
+        side: of it, before.
+        length: of time in which the event was looked for.
+        released: whether it is the release of a motion that is held up to there; None where none ever is.
+        step: length of the whole step; None likewise.
+    """
+
+    event: Array
+    sought: Array
+    side: Array
+    length: Array
+    released: Array | None = None
+    step: Array | None = None
+
+    @property
+    def passes(self) -> Array:
+        """Whether a wall or a surface is met from one of its sides."""
+        return self.event if self.released is None else self.event & ~self.released
+
+    def at(self, k: int) -> Array:
+        """Return whether the wall or surface with a number is met from one of its sides."""
+        return self.passes & (self.sought == k)
 
 
 class AfterEvent(NamedTuple):
@@ -32,8 +83,8 @@ class AfterEvent(NamedTuple):
 
     Attributes:
         moving: the state after it, with tangents and volume.
-        height, rate: of walls and surfaces, and their rates.
-        side: +1 above, −1 below.
+        height, rate: of walls and surfaces, and their rates; of what holds the motion its release.
+        side: +1 above, −1 below, 0 held.
         rounding: height below which the side is as it was.
     """
 
@@ -58,104 +109,229 @@ class EventPassage:
         self.system, self.own, self.by_p, self.volume = system, own, by_p, volume
         self._jumps = len(system.jumps)
 
-    def branch(self, t: Array, state: PiecewisePoint, sides: Sequence[Array]) -> PiecewisePoint:
-        """Time derivative of a state by the branch of the field on these sides of walls and surfaces."""
-        return self.system.branch(t, state, self.own, tuple(sides[self._jumps :]))
+    def read(self, t: Array, moving: Moving, sides: Heights) -> Reading:
+        """Field, heights and rates of a lane that is on these sides of walls and surfaces."""
+        system, state = self.system, moving.state
+        field = system.branch(t, state, self.own, sides)
+        height, rate = jax.jvp(
+            lambda z, t: system.heights(t, z, self.own), (state, jnp.asarray(t)), (field, jnp.ones_like(t))
+        )
+        if system.loses_rank:
+            release, change = jax.jvp(
+                lambda z, t: system.held(t, z, self.own, sides).release,
+                (state, jnp.asarray(t)), (field, jnp.ones_like(t)),
+            )  # fmt: skip
+            held = [holds & (side == 0.0) for holds, side in zip(system.holds, sides, strict=True)]
+            height = tuple(jnp.where(on, release, h) for on, h in zip(held, height, strict=True))
+            rate = tuple(jnp.where(on, change, r) for on, r in zip(held, rate, strict=True))
+        return Reading(t, moving, field, height, rate)
 
-    def rates_of_heights(self, t: Array, state: PiecewisePoint, field: PiecewisePoint) -> Heights:
-        """Time derivatives of all heights along a branch of the field."""
-        return jax.jvp(
-            lambda z, t: self.system.heights(t, z, self.own), (state, jnp.asarray(t)), (field, jnp.ones_like(t))
-        )[1]
+    def bring_back(self, t: Array, moving: Moving, sides: Heights) -> Moving:
+        """A lane on what holds it, where all states that are off it by a little come to; where nothing does as it is.
 
-    def after_event(
-        self,
-        t: Array,
-        ahead: Moving,
-        field: PiecewisePoint,
-        height: Heights,
-        rate: Heights,
-        sides: Heights,
-        rounding: Heights,
-        length: Array,
-        sought: Array,
-        side: Array,
-        event: Array,
-    ) -> AfterEvent:
+        The derivative of that has less than full rank, and volume zero.
+        """
+        system, state, tangents, volume = self.system, moving.state, moving.tangents, moving.log_volume
+
+        def constraints(z: PiecewisePoint, own: Parameters) -> Any:
+            return system.held(t, z, own, sides).constraints
+
+        first = constraints(state, self.own)
+        for k, constraint in enumerate(first):
+            slopes = linearise(lambda z, own, k=k: constraints(z, own)[k].value, state, self.own, tangents, self.by_p)[
+                1
+            ]
+            tangents = tuple(
+                _less(dz, constraint.direction, slope / constraint.gain)
+                for dz, slope in zip(tangents, slopes, strict=True)
+            )
+        for _ in range(2):  # of Newton, whose derivative is that of the first
+            for k, constraint in enumerate(first):
+                off = constraints(state, self.own)[k].value
+                state = _less(state, constraint.direction, off / constraint.gain)
+        if self.volume:
+            volume = jnp.where(any_of([side == 0.0 for side in sides]), -jnp.inf, volume)
+        return Moving(state, tuple(tangents), volume)
+
+    def after_event(self, end: Reading, sides: Heights, rounding: Heights, arrival: Arrival) -> AfterEvent:
         """Follow a trial by a jump or a change of the field where there is an event; else keep the state as it is.
 
         Args:
-            t, ahead, field, height, rate: at the end of the trial.
+            end: of the trial.
             sides, rounding: there, before the event.
-            length: of time in which the event was looked for.
-            sought: number of the wall or surface.
-            side: of it, before.
-            event: whether it is passed there.
         """
-        system = self.system
+        ahead, holding = end.moving, self.system.loses_rank
         units = self._unit_vectors(ahead.state) if self.volume and self._jumps else []
-        along = [*ahead.tangents, *units]
-        by_p = [*self.by_p, *[None] * len(units)]
-        met_height, met_rate = pick(sought, height), pick(sought, rate)
-        delays: list[Array] = []
-        if along:
-            zero = jnp.zeros_like(t)
-            slopes = linearise(
-                lambda at, own: system.heights(at[1], at[0], own),
-                (ahead.state, t), self.own, [(dz, zero) for dz in along], by_p,
-            )[1]  # fmt: skip
-            delays = [jnp.where(event, -pick(sought, slope) / met_rate, 0.0) for slope in slopes]
-        carried = [_added(dz, field, dt) for dz, dt in zip(along, delays, strict=True)]
-
-        # The state after, and what becomes of tangents at the moment of the event.
-        after, pushed, jumps = ahead.state, carried, jnp.bool_(False)
-        for k in range(self._jumps):
-            jumps_here = event & (sought == k)
-            jumps |= jumps_here
-            image, moved = linearise(
-                lambda at, own, k=k: system.jumped(k, at[1], at[0], own),
-                (ahead.state, t), self.own, list(zip(carried, delays, strict=True)), by_p,
-            )  # fmt: skip
-            after = _select(jumps_here, image, after)
-            pushed = [_select(jumps_here, new, old) for new, old in zip(moved, pushed, strict=True)]
+        along, by_p = [*ahead.tangents, *units], [*self.by_p, *[None] * len(units)]
+        delays = self._delays(end, along, by_p, arrival)
+        carried = [_added(dz, end.field, dt) for dz, dt in zip(along, delays, strict=True)]
+        after, pushed, jumps = self._jump(end, carried, delays, by_p, arrival)
 
         # Sides: those of surfaces first, which decide the field there.
-        heights = system.heights(t, after, self.own) if self._jumps else height
-        new_sides: list[Array] = []
-        for k, (old, new, now) in enumerate(zip(height, heights, sides, strict=True)):
-            if k >= self._jumps:
-                now = jnp.where(event & (sought == k), -side, now)
-            leapt = jumps & (sought != k) & (jnp.sign(old) != jnp.sign(new))
-            new_sides.append(jnp.where(leapt, jnp.where(new >= 0.0, 1.0, -1.0), now))
-        field_after = self.branch(t, after, new_sides)
-        rates = self.rates_of_heights(t, after, field_after)
-        roundings = list(rounding)
-        for k in range(len(heights)):
-            here = event & (sought == k)
-            roundings[k] = jnp.where(here, _BOTH_ROUNDINGS * jnp.abs(met_height), roundings[k])
-            if k < self._jumps:
-                way = (jnp.abs(met_rate) + jnp.abs(rates[k])) * length
-                on_wall = _BOTH_ROUNDINGS * jnp.abs(met_height) + _ON_WALL * way
-                left = side_from(heights[k], rates[k], on_wall, side)
-                new_sides[k] = jnp.where(here, left, new_sides[k])
-                near = here & (jnp.abs(heights[k]) <= on_wall)
-                roundings[k] = jnp.where(near, roundings[k] + _BOTH_ROUNDINGS * jnp.abs(heights[k]), roundings[k])
+        heights = self.system.heights(end.t, after, self.own) if self._jumps else end.height
+        new_sides = self._crossed(end.height, heights, sides, arrival, jumps)
+        left: Heights = ()
+        if holding:
+            new_sides, left = self._hold(end, after, sides, new_sides, arrival, jumps)
+        reading = self.read(end.t, Moving(after), new_sides)
+        new_sides, roundings = self._bounce(end, reading, new_sides, rounding, arrival)
 
-        pushed = [_added(dz, field_after, -dt) for dz, dt in zip(pushed, delays, strict=True)]
+        pushed = [_added(dz, reading.field, -dt) for dz, dt in zip(pushed, delays, strict=True)]
         count, volume = len(ahead.tangents), ahead.log_volume
         if self.volume:
-            growth = jnp.where(event & ~jumps, pick(sought, rates) / met_rate, 1.0)
+            growth = jnp.where(
+                arrival.passes & ~jumps, pick(arrival.sought, reading.rate) / pick(arrival.sought, end.rate), 1.0
+            )
             if units:
                 columns = [jnp.stack(dz.y) for dz in pushed[count:]]
                 growth = jnp.where(jumps, jnp.linalg.det(jnp.stack(columns, axis=-1)), growth)
             volume = volume + jnp.log(jnp.abs(growth))
-        return AfterEvent(
-            Moving(after, tuple(pushed[:count]), volume), heights, rates, tuple(new_sides), tuple(roundings)
-        )
+        moving = Moving(after, tuple(pushed[:count]), volume)
+        if holding:
+            return self._on_what_holds(reading._replace(moving=moving), sides, new_sides, roundings, left, arrival)
+        return AfterEvent(moving, reading.height, reading.rate, new_sides, roundings)
+
+    # ---- parts of an event
+
+    def _delays(self, end: Reading, along: list[PiecewisePoint], by_p: list[Any], arrival: Arrival) -> list[Array]:
+        """How much later each tangent arrives; a release changes no field, and needs none."""
+        if not along:
+            return []
+        system, zero = self.system, jnp.zeros_like(end.t)
+        slopes = linearise(
+            lambda at, own: system.heights(at[1], at[0], own),
+            (end.moving.state, end.t), self.own, [(dz, zero) for dz in along], by_p,
+        )[1]  # fmt: skip
+        met_rate = pick(arrival.sought, end.rate)
+        return [jnp.where(arrival.passes, -pick(arrival.sought, slope) / met_rate, 0.0) for slope in slopes]
+
+    def _jump(
+        self, end: Reading, carried: list[PiecewisePoint], delays: list[Array], by_p: list[Any], arrival: Arrival
+    ) -> tuple[PiecewisePoint, list[PiecewisePoint], Array]:
+        """The state after, what becomes of tangents at the moment of the event, and whether it is a jump."""
+        system, state = self.system, end.moving.state
+        after, pushed, jumps = state, carried, jnp.bool_(False)
+        for k in range(self._jumps):
+            here = arrival.at(k)
+            jumps |= here
+            image, moved = linearise(
+                lambda at, own, k=k: system.jumped(k, at[1], at[0], own),
+                (state, end.t), self.own, list(zip(carried, delays, strict=True)), by_p,
+            )  # fmt: skip
+            after = _select(here, image, after)
+            pushed = [_select(here, new, old) for new, old in zip(moved, pushed, strict=True)]
+        return after, pushed, jumps
+
+    def _crossed(self, before: Heights, after: Heights, sides: Heights, arrival: Arrival, jumps: Array) -> Heights:
+        """Sides after an event, of a surface that is passed, and of what the jump has leapt over."""
+        crossed: list[Array] = []
+        for k, (old, new, now) in enumerate(zip(before, after, sides, strict=True)):
+            if k >= self._jumps:
+                now = jnp.where(arrival.at(k), -arrival.side, now)
+            leapt = jumps & (arrival.sought != k) & (jnp.sign(old) != jnp.sign(new))
+            crossed.append(jnp.where(leapt, jnp.where(new >= 0.0, 1.0, -1.0), now))
+        return tuple(crossed)
+
+    def _bounce(
+        self, end: Reading, after: Reading, sides: Heights, rounding: Heights, arrival: Arrival
+    ) -> tuple[Heights, Heights]:
+        """Sides of walls after an event, and heights below which sides are as they are."""
+        new_sides, roundings = list(sides), list(rounding)
+        met_height, met_rate = pick(arrival.sought, end.height), pick(arrival.sought, end.rate)
+        for k in range(len(sides)):
+            here = arrival.at(k)
+            roundings[k] = jnp.where(here, _BOTH_ROUNDINGS * jnp.abs(met_height), roundings[k])
+            if k < self._jumps:
+                way = (jnp.abs(met_rate) + jnp.abs(after.rate[k])) * arrival.length
+                on_wall = _BOTH_ROUNDINGS * jnp.abs(met_height) + _ON_WALL * way
+                side = side_from(after.height[k], after.rate[k], on_wall, arrival.side)
+                free = here & (sides[k] != 0.0) if self.system.holds[k] else here
+                new_sides[k] = jnp.where(free, side, new_sides[k])
+                near = here & (jnp.abs(after.height[k]) <= on_wall)
+                roundings[k] = jnp.where(near, roundings[k] + _BOTH_ROUNDINGS * jnp.abs(after.height[k]), roundings[k])
+        return tuple(new_sides), tuple(roundings)
 
     def _unit_vectors(self, state: PiecewisePoint) -> list[PiecewisePoint]:
         zero, count = jnp.zeros_like(state.reason), len(state.y)
         return [PiecewisePoint(tuple(zero + float(i == j) for i in range(count)), zero) for j in range(count)]
+
+    # ---- motions that are held
+
+    def _hold(
+        self,
+        end: Reading,
+        after: PiecewisePoint,
+        before: Heights,
+        crossed: Heights,
+        arrival: Arrival,
+        jumps: Array,
+    ) -> tuple[Heights, Heights]:
+        """Sides after an event, 0 of what holds the motion then, and which walls and surfaces have released it there.
+
+        Args:
+            after: the state.
+            before, crossed: sides before the event, and after it where nothing holds the motion.
+        """
+        holds, count = self.system.holds, len(before)
+        elsewhere = any_of([(before[k] == 0.0) & ~arrival.at(k) for k in range(count)])
+        held = [(before[k] == 0.0) if holds[k] else jnp.bool_(False) for k in range(count)]
+        tried = [held[k] | (arrival.at(k) & ~elsewhere) if holds[k] else held[k] for k in range(count)]
+        motion = self.system.held(
+            end.t, after, self.own, tuple(jnp.where(k, 0.0, s) for k, s in zip(tried, crossed, strict=True))
+        )
+        on = ~jumps | is_on(motion, after.y, arrival.step)
+        heights = self.system.heights(end.t, after, self.own)
+        sides, released = list(crossed), [jnp.bool_(False)] * count
+        for k in range(count):
+            if holds[k]:
+                here, freed = arrival.at(k), arrival.event & arrival.released & (arrival.sought == k)
+                settles = self._settles(k, end, heights[k], motion, arrival)
+                stays = jnp.where(here, settles, ~arrival.event | (motion.holds & on)) & ~freed
+                beside = jnp.where(on | here, motion.leaves, jnp.where(heights[k] >= 0.0, 1.0, -1.0))
+                sides[k] = jnp.where(tried[k], jnp.where(stays, 0.0, beside), crossed[k])
+                released[k] = held[k] & ~stays & on
+        return tuple(sides), tuple(released)
+
+    def _settles(self, k: int, end: Reading, height: Array, motion: HeldMotion, arrival: Arrival) -> Array:
+        """Return whether a motion that meets a wall or a surface is held there: of impacts, whether they are over.
+
+        With rates v before and −r v after the impact, and an acceleration a towards the wall, those that follow are
+        2 r v / a apart, and each r times nearer: all of them take 2 r v / (a (1 − r)).
+        """
+        if k >= self._jumps:
+            return motion.holds
+        met_height, met_rate = jnp.abs(pick(arrival.sought, end.height)), pick(arrival.sought, end.rate)
+        speed, towards = -motion.constraints[-1].value, motion.release
+        over = 2.0 * speed <= _AT_REST * arrival.step * towards * (1.0 - speed / met_rate)
+        unseen = speed * speed <= 2.0 * towards * _UNSEEN_BOUNCE * met_height
+        near = jnp.abs(height) <= _BOTH_ROUNDINGS * met_height + _ON_WALL * met_rate * arrival.length
+        return motion.holds & near & (speed >= 0.0) & (speed < met_rate) & (over | unseen)
+
+    def _on_what_holds(
+        self, after: Reading, before: Heights, sides: Heights, rounding: Heights, released: Heights, arrival: Arrival
+    ) -> AfterEvent:
+        """A lane after an event, kept on what holds it; one that two surfaces hold at once has failed."""
+        jumps, holds = self._jumps, self.system.holds
+        elsewhere = any_of([side == 0.0 for side in sides])
+        twice = any_of(
+            [arrival.at(k) & elsewhere & (sides[k] * after.rate[k] < 0.0) for k in range(jumps, len(sides)) if holds[k]]
+            or [jnp.bool_(False)]
+        )
+        moving = self.bring_back(after.t, after.moving, sides)
+        height = self.system.heights(after.t, moving.state, self.own)
+        now = self.read(after.t, moving, sides)
+        begins = [(new == 0.0) & (old != 0.0) for new, old in zip(sides, before, strict=True)]
+        heights = tuple(jnp.where(r, _NOWHERE * s, h) for r, s, h in zip(released, sides, now.height, strict=True))
+        rates = tuple(
+            jnp.where(r, jnp.maximum(rate * s, 0.0) * s, rate)
+            for r, s, rate in zip(released, sides, now.rate, strict=True)
+        )
+        roundings = tuple(
+            jnp.where(b, 0.0, jnp.where(r, _BOTH_ROUNDINGS * jnp.abs(h), o))
+            for b, r, h, o in zip(begins, released, height, rounding, strict=True)
+        )
+        state = moving.state._replace(reason=jnp.where(twice, 1.0 * CODIMENSION_TWO, moving.state.reason))
+        return AfterEvent(moving._replace(state=state), heights, rates, sides, roundings)
 
 
 def side_from(height: Array, rate: Array, near: Array, otherwise: Array) -> Array:
@@ -170,6 +346,24 @@ def pick(number: Array, values: Sequence[Array]) -> Array:
     for k, value in enumerate(values[1:], 1):
         picked = jnp.where(number == k, value, picked)
     return picked
+
+
+def any_of(flags: Sequence[Array]) -> Array:
+    """Return whether one of the flags is set."""
+    flag = flags[0]
+    for other in flags[1:]:
+        flag |= other
+    return flag
+
+
+def _less(y: PiecewisePoint, direction: Sequence[Array], length: Array) -> PiecewisePoint:
+    """A state, or a tangent, less so much of a direction; what rounding leaves of a coordinate is zero."""
+    moved = []
+    for x, step in zip(y.y, direction, strict=True):
+        rest = x - length * step
+        noise = _CANCELLED * (jnp.abs(x) + jnp.abs(length * step))
+        moved.append(jnp.where(jnp.abs(rest) <= noise, 0.0, rest))
+    return PiecewisePoint(tuple(moved), y.reason)
 
 
 def _added(dz: PiecewisePoint, field: PiecewisePoint, dt: Array) -> PiecewisePoint:

@@ -25,11 +25,11 @@ Parameters = Mapping[str, ArrayLike]
 """Name to value, of the parameters that a lane has of its own; of lanes side by side each (lanes,)."""
 
 
-STATUS = ("ok", "singular", "off_constraint", "not_finite", "no_return", "escaped", "chattering")
+STATUS = ("ok", "singular", "off_constraint", "not_finite", "no_return", "escaped", "chattering", "codimension_two")
 """Status of a lane, by number."""
 
 NOT_FINITE, NO_RETURN = STATUS.index("not_finite"), STATUS.index("no_return")
-CHATTERING = STATUS.index("chattering")
+CHATTERING, CODIMENSION_TWO = STATUS.index("chattering"), STATUS.index("codimension_two")
 
 
 UNSAID = ""
@@ -110,6 +110,11 @@ class Flow(eqx.Module):
     def continuous(self) -> bool:
         """Return whether time is continuous; that of a map counts its iterates."""
         return True
+
+    @property
+    def loses_rank(self) -> bool:
+        """Return whether different motions may become one in finite time, so that tangents vanish."""
+        return False
 
     def density(self, t: np.ndarray) -> np.ndarray:
         """Steps a unit of time, up to a factor, that suit all lanes; t of any shape."""

@@ -2,7 +2,7 @@
 
 Walls and surfaces are zeros of functions of (y, t), their heights. A field that changes reads on which sides of its
 surfaces a state is, so that a step may keep to one branch of it beyond the surface as well, where it has none of its
-own. How such motions are integrated is in `maps.jumping`.
+own. How such motions are integrated is in `maps.jumping`, and how surfaces and walls hold them in `sliding`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -18,6 +19,7 @@ from jax.typing import ArrayLike
 from jaxnh.systems.definition import Definition, marked
 from jaxnh.systems.first_order import CoordinateChart, FirstOrder
 from jaxnh.systems.flow import NOT_FINITE, Output, Parameters, status
+from jaxnh.systems.sliding import HeldMotion, free_motion, held_value, is_on, resting_motion, sliding_motion
 from jaxnh.systems.state import Number, Vector, error_components
 
 DIRECTIONS = ("up", "down", "both")
@@ -54,10 +56,17 @@ class PiecewiseSmooth(FirstOrder):
     Attributes:
         jumps: direction in which each wall is passed.
         switches: number of surfaces where the field changes.
+        holds: for each wall, whether motions may rest on it, and for each surface, whether they may slide along it.
     """
 
     jumps: tuple[str, ...] = eqx.field(static=True)
     switches: int = eqx.field(static=True)
+    holds: tuple[bool, ...] = eqx.field(static=True)
+
+    @property
+    def loses_rank(self) -> bool:
+        """Return whether motions may be held, where different ones become the same."""
+        return any(self.holds)
 
     def heights(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
         """Heights of a state above the walls, which rise where they are passed (either way for "both"), and surfaces.
@@ -77,20 +86,82 @@ class PiecewiseSmooth(FirstOrder):
         return PiecewisePoint(tuple(jnp.asarray(x, jnp.float64) for x in after), y.reason)
 
     def rhs(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> PiecewisePoint:
-        """Time derivative of a state by the branch of the field that it is in; on a surface by that above it."""
-        heights = self.heights(t, y, p)[len(self.jumps) :] if self.switches else ()
-        return self.branch(t, y, p, tuple(jnp.where(height >= 0.0, 1.0, -1.0) for height in heights))
+        """Time derivative of a state by the branch of the field that it is in; on a surface by that above it.
+
+        Where the surface or a wall holds it, along that.
+        """
+        heights = self.heights(t, y, p) if self.switches or self.loses_rank else ()
+        sides = tuple(jnp.where(height >= 0.0, 1.0, -1.0) for height in heights)
+        return self.branch(t, y, p, self.held_sides(t, y, p, sides) if self.loses_rank else sides)
 
     def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """Time derivative of a state by a branch of the field, wherever the state is.
 
         Args:
-            sides: +1 above, −1 below, of each switch.
+            sides: +1 above, −1 below, 0 held on, of each wall and surface.
         """
-        rhs = self.definition(p)["rhs"]
-        rates = rhs(tuple(y.y), t, sides) if self.switches else rhs(tuple(y.y), t)
         zero = jnp.zeros_like(y.y[0])
-        return PiecewisePoint(tuple(jnp.asarray(rate, jnp.float64) + zero for rate in rates), zero)
+        if self.loses_rank:
+            return PiecewisePoint(self.held(t, y, p, sides).field, zero)
+        return PiecewisePoint(self._rates(tuple(y.y), t, p, sides), zero)
+
+    def _rates(self, y: Vector, t: ArrayLike, p: Parameters, sides: tuple[Number, ...]) -> Vector:
+        """Rates of the coordinates by a branch, none of its sides 0."""
+        rhs, zero = self.definition(p)["rhs"], jnp.zeros_like(y[0])
+        rates = rhs(y, t, sides[len(self.jumps) :]) if self.switches else rhs(y, t)
+        return tuple(jnp.asarray(rate, jnp.float64) + zero for rate in rates)
+
+    # ---- motions that are held
+
+    def held(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> HeldMotion:
+        """The motion on the wall or surface whose side is 0; where there is none the free one.
+
+        Args:
+            sides: of each wall and surface; at most one of them is 0.
+        """
+        jumps, reason = len(self.jumps), y.reason
+
+        def height(y: Vector, t: ArrayLike) -> tuple[Number, ...]:
+            return self.heights(t, PiecewisePoint(y, reason), p)
+
+        def field(side: float) -> Callable[[Vector, ArrayLike], Vector]:
+            kept = tuple(
+                jnp.where(now == 0.0, side, now) if holds else now for now, holds in zip(sides, self.holds, strict=True)
+            )
+            return lambda y, t: self._rates(y, t, p, kept)
+
+        walls = [k for k in range(jumps) if self.holds[k]]
+        motion = free_motion(field(-1.0)(tuple(y.y), t), 2 if walls else 1)
+        if any(self.holds[jumps:]):
+            on = [k for k in range(jumps, len(sides)) if self.holds[k]]
+            slid = [sides[k] for k in on]
+            sliding = sliding_motion(
+                field(1.0), field(-1.0), lambda y, t: held_value(slid, [height(y, t)[k] for k in on]), t, tuple(y.y)
+            )
+            sliding = sliding._replace(constraints=motion.constraints[1:] + sliding.constraints)
+            motion = _select(held_value(slid, [1.0] * len(on)) > 0.0, sliding, motion)
+        for k in walls:
+            resting = resting_motion(
+                field(-1.0),
+                lambda y, t, k=k: self.jumped(k, t, PiecewisePoint(y, reason), p).y,
+                lambda y, t, k=k: height(y, t)[k],
+                t, tuple(y.y),
+            )  # fmt: skip
+            motion = _select(sides[k] == 0.0, resting, motion)
+        return motion
+
+    def held_sides(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> tuple[Number, ...]:
+        """Sides of a state, 0 where it is held, and where it leaves a surface that it is on those that it leaves to."""
+        definition, found = self.definition(p), list(sides)
+        unit = definition.get("period", definition.get("time_unit", 1.0))
+        for k, holds in enumerate(self.holds):
+            if holds:
+                held = self.held(t, y, p, (*sides[:k], jnp.zeros_like(sides[k]), *sides[k + 1 :]))
+                there = jnp.where(held.holds, 0.0, held.leaves)
+                found[k] = jnp.where(is_on(held, y.y, unit), there, sides[k])
+        return tuple(found)
 
     @property
     def chart(self) -> PiecewiseChart:
@@ -119,11 +190,14 @@ def piecewise_smooth(
     Args:
         define: as of `first_order`, with `jumps`, each a mapping of `when`, the height (y, t) to a number, `direction`,
             one of `DIRECTIONS`, and `then`, (y, t) to the d numbers after the jump; and `switches`, each a mapping of
-            `on`, the height of a surface. With switches `rhs` is a function of (y, t, side), side a number ±1 for each.
+            `on`, the height of a surface. Motions may rest on the wall of a jump that says `rest`, and slide along the
+            surface of a switch that says `sliding`. With switches `rhs` is a function of (y, t, side), side a number ±1 for each.
         parameters, of_lanes: as of `first_order`.
     """
     definition = define(**parameters)
     jumps = tuple(jump["direction"] for jump in definition.get("jumps", ()))
+    resting = (bool(jump.get("rest", False)) for jump in definition.get("jumps", ()))
+    sliding = (bool(switch.get("sliding", False)) for switch in definition.get("switches", ()))
     return PiecewiseSmooth(
         define,
         dict(parameters),
@@ -133,4 +207,9 @@ def piecewise_smooth(
         "period" in definition,
         jumps,
         len(definition.get("switches", ())),
+        (*resting, *sliding),
     )
+
+
+def _select(condition: Number, one: HeldMotion, other: HeldMotion) -> HeldMotion:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), one, other)
