@@ -19,13 +19,12 @@ from jaxtyping import Array
 from jaxnh.maps.general_flow import Moving, linearise
 from jaxnh.systems.flow import CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
-from jaxnh.systems.sliding import HeldMotion, is_on
+from jaxnh.systems.sliding import HeldMotion, is_on, without_rounding
 
 _ON_WALL = 1e-9  # a state as near as this after its jump is on the wall: of a step's way across
 _BOTH_ROUNDINGS = 4.0  # times the height at which a wall was met, for that of the state after
 _AT_REST = 1e-6  # of a step: impacts that would all have been by then are over
 _UNSEEN_BOUNCE = 16.0  # times the height at which a wall was met: a bounce no higher is rounding
-_CANCELLED = 1e-14  # of two numbers, is their difference rounding
 _NOWHERE = 1e-300  # height of a state that is on a surface, to keep its side
 
 Heights = tuple[Array, ...]
@@ -357,12 +356,8 @@ def any_of(flags: Sequence[Array]) -> Array:
 
 
 def _less(y: PiecewisePoint, direction: Sequence[Array], length: Array) -> PiecewisePoint:
-    """A state, or a tangent, less so much of a direction; what rounding leaves of a coordinate is zero."""
-    moved = []
-    for x, step in zip(y.y, direction, strict=True):
-        rest = x - length * step
-        noise = _CANCELLED * (jnp.abs(x) + jnp.abs(length * step))
-        moved.append(jnp.where(jnp.abs(rest) <= noise, 0.0, rest))
+    """A state, or a tangent, less so much of a direction."""
+    moved = (without_rounding(x, -length * step) for x, step in zip(y.y, direction, strict=True))
     return PiecewisePoint(tuple(moved), y.reason)
 
 

@@ -191,7 +191,8 @@ def piecewise_smooth(
         define: as of `first_order`, with `jumps`, each a mapping of `when`, the height (y, t) to a number, `direction`,
             one of `DIRECTIONS`, and `then`, (y, t) to the d numbers after the jump; and `switches`, each a mapping of
             `on`, the height of a surface. Motions may rest on the wall of a jump that says `rest`, and slide along the
-            surface of a switch that says `sliding`. With switches `rhs` is a function of (y, t, side), side a number ±1 for each.
+            surface of a switch that says `sliding`. With switches `rhs` is a function of (y, t, side), side a number ±1
+            for each.
         parameters, of_lanes: as of `first_order`.
     """
     definition = define(**parameters)

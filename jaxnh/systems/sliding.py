@@ -28,6 +28,7 @@ from jaxtyping import Array
 from jaxnh.systems.state import Number, Vector
 
 _ULPS = 16.0  # of a coordinate, by which a state may be off a surface that it is on
+_CANCELLED = 4.0 * np.finfo(float).eps  # of two numbers, is their difference rounding
 _EARLY = 1e-14  # of the unit of time, within which a motion would be there
 
 Field = Callable[[Vector, Number], Vector]
@@ -85,7 +86,7 @@ def sliding_motion(above: Field, below: Field, height: Height, t: Number, y: Vec
     across = tuple(a - b for a, b in zip(upper, lower, strict=True))
     gain = up - down
     weight = -down / jnp.where(gain == 0.0, 1.0, gain)
-    field = tuple(b + weight * r for b, r in zip(lower, across, strict=True))
+    field = tuple(without_rounding(b, weight * r) for b, r in zip(lower, across, strict=True))
     leaves = jnp.where(up + down >= 0.0, 1.0, -1.0)
     constraint = Constraint(height(y, t), across, jnp.where(gain == 0.0, 1.0, gain))
     return HeldMotion(field, (up < 0.0) & (down > 0.0), -up * down, leaves, -gain, (constraint,))
@@ -118,6 +119,12 @@ def is_on(held: HeldMotion, y: Vector, unit: Number) -> Array:
             share = jnp.abs(direction / constraint.gain)
             kept &= share * jnp.abs(constraint.value) <= _ULPS * np.finfo(float).eps * jnp.abs(x) + share * early
     return kept
+
+
+def without_rounding(one: Number, other: Number) -> Number:
+    """The sum of two numbers, zero where it is what their rounding leaves."""
+    total = one + other
+    return jnp.where(jnp.abs(total) <= _CANCELLED * (jnp.abs(one) + jnp.abs(other)), 0.0, total)
 
 
 def _along(function: Height, t: Number, y: Vector, rates: Vector, by_t: float) -> tuple[Number, Number]:

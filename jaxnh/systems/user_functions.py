@@ -20,6 +20,9 @@ FUNCTIONS = ("map", "rhs", "rates", "T", "Q", "f")
 EVENTS = {"jumps": ("when", "direction", "then"), "switches": ("on",)}
 """Keys of a definition whose values are lists of mappings, and the keys of these."""
 
+_FLAGS = {"jumps": "rest", "switches": "sliding"}
+"""A key more of these, True or False: whether motions may rest on a wall, or slide along a surface."""
+
 _EXAMPLES = {
     "jumps": 'jumps=[{"when": wall, "direction": "up", "then": bounce}]',
     "switches": 'switches=[{"on": surface}]',
@@ -50,14 +53,17 @@ def checked_events(kind: str, given: Any) -> tuple[Mapping[str, Any], ...]:
 
 
 def _checked_event(kind: str, where: str, given: Mapping[str, Any]) -> Mapping[str, Any]:
-    known = EVENTS[kind]
+    needed, flag = EVENTS[kind], _FLAGS[kind]
+    known = (*needed, flag)
     for key in given:
         if key not in known:
             close = difflib.get_close_matches(str(key), known, n=1)
             meant = f" (did you mean {close[0]}?)" if close else ""
             raise EventFault(f"{where} has {key!r}, which is unknown{meant}; known are {', '.join(known)}")
     event = {"direction": "up", **given} if kind == "jumps" else dict(given)
-    for key in known:
+    if not isinstance(event.get(flag, False), bool):
+        raise EventFault(f"{where}.{flag} must be True or False, not {event[flag]!r}")
+    for key in needed:
         if key not in event:
             raise EventFault(f"{where} must also have {key}, as in {_EXAMPLES[kind]}")
         if key == "direction":

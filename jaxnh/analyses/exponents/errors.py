@@ -45,7 +45,9 @@ def average_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
 
     Neighbouring blocks may be correlated. Batches of two and four blocks are so less, and their fewer means have a
     wider Student's t: the largest of the errors is taken, and never less than how far the sum strays from its line.
+    What has vanished in a block, where maps lose rank, is −∞ without error.
     """
+    vanished = np.any(np.isneginf(rates), axis=1)
     rates = np.where(np.isfinite(rates), rates, np.nan)  # of a lane that fails there are infinite ones
     blocks = rates.shape[1]
     mean = rates.mean(axis=1)
@@ -58,7 +60,13 @@ def average_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
         size *= 2
     strayed = np.cumsum(rates - mean[:, None], axis=1) / blocks
     low, high = np.minimum(strayed.min(axis=1), 0.0), np.maximum(strayed.max(axis=1), 0.0)
-    return Average(mean, np.maximum(error, high - low))
+    return Average(np.where(vanished, -np.inf, mean), np.where(vanished, 0.0, np.maximum(error, high - low)))
+
+
+def change(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return how far two estimates of exponents are from each other, of which some may be −∞."""
+    with np.errstate(invalid="ignore"):
+        return np.where(one == other, 0.0, np.abs(one - other))
 
 
 def smooth_parts(growth: TangentState, block: int, number: int) -> Float[np.ndarray, "lanes 3 sums"]:
@@ -133,7 +141,7 @@ def unseen_bursts(rates: Float[np.ndarray, "lanes blocks sums"], length: float) 
         rates: of the largest exponent alone.
         length: periods of the average.
     """
-    about = rates - rates.mean(axis=1, keepdims=True)
     with np.errstate(invalid="ignore"):
+        about = rates - rates.mean(axis=1, keepdims=True)
         ratio = np.sum(np.diff(rates, axis=1) ** 2, axis=(1, 2)) / np.sum(about**2, axis=(1, 2))
     return np.where(ratio < _SLOW, _UNSEEN * _BURST / length, 0.0)

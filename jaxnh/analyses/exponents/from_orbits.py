@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.exponents.errors import change
 from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns, period_parts
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images, orbits
@@ -32,8 +33,9 @@ class OrbitExponents(NamedTuple):
     Attributes:
         lanes: their numbers, (some,).
         logs: ln|μ|/n, largest first, (some, k).
-        error: (some, k): twice what twice the steps change, and rounding. Of maps an orbit may be superstable: a
-            multiplier that rounding does not tell from zero has the exponent −∞, without error.
+        error: (some, k): twice what twice the steps change, and rounding. An orbit of a map may be superstable: a
+            multiplier that rounding does not tell from zero has the exponent −∞, without error; so it has of a flow
+            that loses rank.
     """
 
     lanes: Int[np.ndarray, " some"]
@@ -132,11 +134,10 @@ def orbit_exponents(
         monodromy = np.asarray(images(lanes, batch.strobe(), p, n.astype(np.int32))(u, np.arange(len(n))).monodromy)
     logs, rounding = _logs(batch, lanes, growth, n, survey.u, survey.monodromy, parts, 1)
     fine, _ = _logs(batch, lanes, growth, n, u, monodromy, parts, 2)
-    with np.errstate(invalid="ignore"):
-        change = np.abs(logs - fine)
-    error = 2.0 * change + rounding
+    moved = change(logs, fine)
+    error = np.where(np.isneginf(logs) & np.isneginf(fine), 0.0, 2.0 * moved + rounding)
     if not batch.flow.continuous:
-        superstable = ~(change * n[:, None] < np.log(2.0))
+        superstable = ~(moved * n[:, None] < np.log(2.0))
         logs, error = np.where(superstable, -np.inf, logs), np.where(superstable, 0.0, error)
     kept = np.all(np.isfinite(error), axis=1)
     return OrbitExponents(settled[kept], logs[kept], error[kept])
@@ -189,8 +190,7 @@ def _carry_tangents(
     going = np.arange(len(u))
     for _ in range(_TURNS):
         growth, sums = advance_turns(lanes, strobes, growth, select(p, going), n[going], tile=ORBIT_TILE)
-        with np.errstate(invalid="ignore"):
-            moved[going] = np.abs(sums - rates[going])
+        moved[going] = change(sums, rates[going])
         rates[going] = sums
         left = ~np.all(moved[going] < _SETTLED, axis=1)
         going, growth = going[left], select(growth, left)

@@ -4,7 +4,8 @@ Where a lane has settled on a stable periodic orbit, exponents are those of the 
 come to rest without a clock, those of the equilibrium's eigenvalues. Elsewhere they are averages of the growth of
 tangents: smooth ones where the motion is regular and they converge faster, else plain ones with the scatter of block
 means. `exponents_method` says which. Most lanes on an orbit are known early, and leave out the rest of their transient;
-all that are end after a sixteenth of their averages.
+all that are end after a sixteenth of their averages. Where motions become one in finite time, by sliding or at rest on
+a wall, tangents vanish: their exponents are −∞, without error.
 
 Without a clock the flow carries its own direction along, whose exponent is zero unless the motion comes to rest: the
 tangents are those across it, one fewer, and no section is needed.
@@ -27,6 +28,7 @@ from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
     average_blocks,
     average_windows,
+    change,
     smooth_parts,
     unseen_bursts,
     widen_to_sum_rule,
@@ -205,16 +207,17 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         chosen = (averages.blocks == blocks) & ~on_orbit
         plain = average_blocks(averages.rates[chosen, :blocks, : lead + k])
         mean[chosen], error[chosen] = widen_to_zero(plain, aligned, blocks * block)
-    source = np.zeros(batch.count, np.int8)
+    source, vanished = np.zeros(batch.count, np.int8), np.isneginf(mean)
     if options.method == "averages":
         return Spectrum(mean, error, source)
     number, ran = np.arange(BLOCKS), averages.blocks
     late = (number < ran[:, None]) & (number >= (ran - np.maximum(ran // 4, 1))[:, None])
     last = np.mean(averages.rates[:, :, lead], axis=1, where=late)
     undecided = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
-    undecided &= np.all(np.isfinite(mean), axis=1)
+    undecided &= ~np.any(np.isnan(mean), axis=1)
     whole = np.flatnonzero(undecided & (averages.blocks == BLOCKS))
-    smooth = average_windows(averages.smooth[whole, :, : lead + k], aligned, BLOCKS * block)
+    windows = np.where(vanished[whole, None], 0.0, averages.smooth[whole, :, : lead + k])
+    smooth = average_windows(windows, aligned, BLOCKS * block)
     smooth = widen_to_zero(smooth, aligned, BLOCKS * block)
     better = smooth.error[:, lead] < error[whole, lead]
     regular = whole[better]
@@ -223,6 +226,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     error[regular] = smooth.error[better] + _step_error(batch, lanes, select(averages.growth, regular), regular, parts)
     drifting = whole[~better]
     error[drifting] += unseen_bursts(averages.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
+    mean[vanished], error[vanished] = -np.inf, 0.0
     candidates = np.flatnonzero(undecided)
     orbits = [averages.settled]
     if len(candidates) and _has_orbits(options, batch):
@@ -234,6 +238,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         still, _, exponents, bound = detect_equilibrium(
             batch.take(candidates), lanes, options.transient + options.periods
         )
+        still &= ~np.any(vanished[candidates], axis=1)  # what comes to rest in finite time has no linearisation there
         resting = candidates[still]
         source[resting] = SOURCES.index("equilibrium")
         complete = exponents.shape[1] == batch.flow.exponents  # else some eigenvalues are those of constraints
@@ -259,7 +264,7 @@ def _step_error(
         return np.zeros((0, len(growth.logs)))
     p = select(dict(batch.p), subset)
     coarse, fine = (average(lanes, period_parts(batch, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
-    return 2.0 * np.abs(coarse - fine)[:, : len(growth.logs)]
+    return 2.0 * change(coarse, fine)[:, : len(growth.logs)]
 
 
 def every_exponent(options: LyapunovOptions, batch: LaneBatch) -> bool:
@@ -288,14 +293,14 @@ def _dataset(
     if every_exponent(options, batch):
         # At rest the flow has no direction once its rate has come down to rounding.
         sums = np.where(spectrum.source == SOURCES.index("equilibrium"), mean.sum(axis=1), sums)
-        with np.errstate(invalid="ignore"):  # both are minus infinity on a superstable orbit of a map
+        with np.errstate(invalid="ignore"):  # both are minus infinity where a map has a multiplier zero
             residual = sums - volume[:, 1 if symbols else 0]
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
         error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
     if batch.flow.autonomous:
         rests = (spectrum.mean[:, 0] * averaged < _AT_REST) | (spectrum.source == SOURCES.index("equilibrium"))
-        lost = ~np.isfinite(spectrum.mean[:, 0])
+        lost = ~(spectrum.mean[:, 0] < np.inf)
         for values in (mean, error):
             values[:, 0] = np.where(lost, np.nan, np.where(rests, values[:, 0], 0.0))
         attrs["along_flow"] = "the exponent along the flow is known to be zero"
@@ -304,8 +309,8 @@ def _dataset(
     each, rate = (LANE, "exponent"), rate_attrs(batch.flow)
     words = "Lyapunov exponents, natural logarithm"
     ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
-    known = [SOURCES.index(source) for source in ("equilibrium", "orbit")]  # some of which are minus infinity
-    lost = ~np.all(np.isfinite(exponents), axis=1) & ~np.isin(spectrum.source, known)
+    known = [SOURCES.index(source) for source in ("equilibrium", "orbit")]
+    lost = ~np.all(exponents < np.inf, axis=1) & ~np.isin(spectrum.source, known)
     code = np.where(lost & (np.asarray(ended.data) == 0), NOT_FINITE, ended.data)
     variables = {
         "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),

@@ -76,7 +76,8 @@ def refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState,
             _, once = average(lanes, coarse[i], now, p, 1)
             now, first = average(lanes, fine[2 * i], now, p, 1)
             now, second = average(lanes, fine[2 * i + 1], now, p, 1)
-            apart, whole = apart + once - first - second, whole + np.abs(first + second)
+            with np.errstate(invalid="ignore"):  # of a tangent that has vanished in both
+                apart, whole = apart + once - first - second, whole + np.abs(first + second)
         apart, whole = (np.abs(values[:, : len(growth.logs)]) / periods for values in (apart, whole))
         short = apart > enough * np.maximum(whole, 1.0)
         if not np.any(short & np.isfinite(apart)):

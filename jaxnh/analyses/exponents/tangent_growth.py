@@ -34,6 +34,7 @@ from jaxnh.systems.state import State, Vector
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
+_LOST = 1e-9  # of a tangent's length, left across the others: rank is lost, where maps say that some is
 _KICKS_A_NODE = 4  # of the map: its own error, a processed one's too, is larger than that of a step of ten kicks
 
 
@@ -189,8 +190,9 @@ def advance(
     """Advance one lane by `count` periods, its sums begun anew."""
     zeros = jax.tree.map(jnp.zeros_like, growth[2:])
     growth = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]))
-    # Where the divergence is a derivative more, it serves the sum rule alone.
-    wanted = strobes.system.contraction or len(growth.logs) == strobes.system.exponents
+    # Where the divergence is a derivative more, it serves the sum rule, and says where the map loses rank.
+    system = strobes.system
+    wanted = system.contraction or len(growth.logs) == system.exponents or system.loses_rank
 
     def part(growth: TangentState, strobe: ReturnMap) -> tuple[TangentState, None]:
         flow: Flow = strobe.system
@@ -198,13 +200,17 @@ def advance(
             growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents), wanted
         )
         moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
+        singular = pushed.volume == 0.0 if flow.loses_rank else None
         if flow.autonomous:
-            tangents, grown = _orthonormalise_across(flow, growth.state, pushed.state, moved, p)
+            tangents, grown = _orthonormalise_across(flow, growth.state, pushed.state, moved, p, singular)
         else:
-            tangents, grown = gram_schmidt(moved)
+            tangents, grown = gram_schmidt(moved, singular)
         logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
         largest = jnp.maximum(grown[0], grown[1]) if flow.autonomous else grown[0]
-        loss = jnp.maximum(growth.loss, largest - grown[-1])
+        shrunk = largest - grown[-1]
+        if flow.loses_rank:  # what has vanished needs no digits
+            shrunk = jnp.max(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, largest - g) for g in grown]))
+        loss = jnp.maximum(growth.loss, shrunk)
         volume = growth.volume + jnp.log(pushed.volume) if wanted else growth.volume
         return growth._replace(state=pushed.state, tangents=tangents, logs=logs, volume=volume, loss=loss), None
 
@@ -237,27 +243,58 @@ def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
 
 
 def _orthonormalise_across(
-    flow: Flow, before: State, after: State, moved: Sequence[Vector], p: Parameters
+    flow: Flow, before: State, after: State, moved: Sequence[Vector], p: Parameters, singular: Array | None
 ) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
     """Return orthonormal tangents across the flow, and the growth of the flow's direction and of each of them."""
 
     def direction(state: State) -> Vector:
         return rates(flow, state, p)
 
-    (_, *tangents), (along, *grown) = gram_schmidt([direction(after), *moved])
-    return tuple(tangents), (along - gram_schmidt([direction(before)])[1][0], *grown)
+    (_, *tangents), (along, *grown) = gram_schmidt([direction(after), *moved], singular)
+    lengthened = along - gram_schmidt([direction(before)])[1][0]
+    if singular is not None:  # at rest the flow has no direction
+        lengthened = jnp.where(jnp.isneginf(along), along, lengthened)
+    return tuple(tangents), (lengthened, *grown)
 
 
-def gram_schmidt(vectors: Sequence[Vector]) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
-    """Return orthonormal vectors of the same span, and the logarithms of the lengths, components of any shape."""
+def gram_schmidt(
+    vectors: Sequence[Vector], singular: Array | None = None
+) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
+    """Return orthonormal vectors of the same span, and the logarithms of the lengths, components of any shape.
+
+    Args:
+        singular: whether the vectors are images under a map that has less than full rank. Those in the span of the ones
+            before them, but for rounding, have the logarithm −∞ then, and another direction, across all.
+    """
     orthonormal: list[Vector] = []
-    logs = []
-    for vector in vectors:
-        for base in orthonormal:
-            overlap = sum(v * e for v, e in zip(vector, base, strict=True))
-            vector = tuple(v - overlap * e for v, e in zip(vector, base, strict=True))
+    logs, lost = [], []
+    for whole in vectors:
+        vector = _project_out(orthonormal, whole)
         square = sum(v * v for v in vector)
-        inverse = 1.0 / jnp.sqrt(square)
+        inverse, grown = 1.0 / jnp.sqrt(square), 0.5 * jnp.log(square)
+        if singular is not None:
+            lost.append(singular & (square <= _LOST**2 * sum(v * v for v in whole)))
+            inverse, grown = jnp.where(lost[-1], 0.0, inverse), jnp.where(lost[-1], -jnp.inf, grown)
         orthonormal.append(tuple(v * inverse for v in vector))
-        logs.append(0.5 * jnp.log(square))
+        logs.append(grown)
+    for k, vanished in enumerate(lost):
+        across = _across(orthonormal)
+        orthonormal[k] = tuple(jnp.where(vanished, new, old) for new, old in zip(across, orthonormal[k], strict=True))
     return tuple(orthonormal), tuple(logs)
+
+
+def _project_out(orthonormal: Sequence[Vector], vector: Vector) -> Vector:
+    """Return what is left of a vector across orthonormal ones."""
+    for base in orthonormal:
+        overlap = sum(v * e for v, e in zip(vector, base, strict=True))
+        vector = tuple(v - overlap * e for v, e in zip(vector, base, strict=True))
+    return vector
+
+
+def _across(orthonormal: Sequence[Vector]) -> Vector:
+    """Return a unit vector across vectors that are orthonormal or zero, where there is one: nearest to an axis."""
+    shares = jnp.stack([sum(e[i] * e[i] for e in orthonormal) for i in range(len(orthonormal[0]))])
+    nearest = jnp.argmin(shares, axis=0)
+    vector = _project_out(orthonormal, tuple(jnp.where(nearest == i, 1.0, 0.0) for i in range(len(shares))))
+    length = jnp.sqrt(sum(v * v for v in vector))
+    return tuple(v / length for v in vector)
