@@ -245,8 +245,6 @@ class _Lane:
         # Newton on the one that is sought.
         before = self._sides_of_heights(march.side)
         either = pick(sought, [jnp.bool_(x) for x in self._either])
-        if self._holding:
-            either |= pick(sought, march.side) == 0.0
         side = pick(sought, before)
         rising = jnp.where(either, -side, 1.0)
         sought_height, sought_rate = pick(sought, reading.height), pick(sought, reading.rate)
@@ -345,11 +343,11 @@ class _Lane:
         )
 
     def _sides_of_heights(self, sides: Heights) -> Heights:
-        """The sides on which heights are, that of a release, which is positive before it, included."""
+        """The sides on which heights are, that of a release, which is below zero up to it, included."""
         if not self._holding:
             return sides
         return tuple(
-            jnp.where(side == 0.0, 1.0, side) if holds else side
+            jnp.where(side == 0.0, -1.0, side) if holds else side
             for side, holds in zip(sides, self._system.holds, strict=True)
         )
 

@@ -300,7 +300,7 @@ class EventPassage:
         if k >= self._jumps:
             return motion.holds
         met_height, met_rate = jnp.abs(pick(arrival.sought, end.height)), pick(arrival.sought, end.rate)
-        speed, towards = -motion.constraints[-1].value, motion.release
+        speed, towards = -motion.constraints[-1].value, motion.pull
         over = 2.0 * speed <= _AT_REST * arrival.step * towards * (1.0 - speed / met_rate)
         unseen = speed * speed <= 2.0 * towards * _UNSEEN_BOUNCE * met_height
         near = jnp.abs(height) <= _BOTH_ROUNDINGS * met_height + _ON_WALL * met_rate * arrival.length

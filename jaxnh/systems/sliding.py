@@ -58,7 +58,7 @@ class HeldMotion(NamedTuple):
     Attributes:
         field: rates of the d coordinates.
         holds: whether the state is held there.
-        release: positive as long as it is, through zero where it ends.
+        release: negative as long as it is, and rises through zero where it ends.
         leaves: side of the surface that a state goes to which is not held: +1 above, −1 below.
         pull: rate at which the last constraint would go to zero if it were off it.
         constraints: of orders …, 2, 1 in the unit of time, those before the last none where they are not needed.
@@ -89,7 +89,7 @@ def sliding_motion(above: Field, below: Field, height: Height, t: Number, y: Vec
     field = tuple(without_rounding(b, weight * r) for b, r in zip(lower, across, strict=True))
     leaves = jnp.where(up + down >= 0.0, 1.0, -1.0)
     constraint = Constraint(height(y, t), across, jnp.where(gain == 0.0, 1.0, gain))
-    return HeldMotion(field, (up < 0.0) & (down > 0.0), -up * down, leaves, -gain, (constraint,))
+    return HeldMotion(field, (up < 0.0) & (down > 0.0), up * down, leaves, -gain, (constraint,))
 
 
 def resting_motion(field: Field, jump: Field, height: Height, t: Number, y: Vector) -> HeldMotion:
@@ -107,7 +107,7 @@ def resting_motion(field: Field, jump: Field, height: Height, t: Number, y: Vect
     above, closing = _along(height, t, y, moved, 0.0)
     held = tuple(f - towards / gain * r for f, r in zip(rates, reaction, strict=True))
     constraints = (Constraint(above, moved, closing), Constraint(value, reaction, gain))
-    return HeldMotion(held, towards > 0.0, towards, -jnp.ones_like(value), towards, constraints)
+    return HeldMotion(held, towards > 0.0, -towards, -jnp.ones_like(value), towards, constraints)
 
 
 def is_on(held: HeldMotion, y: Vector, unit: Number) -> Array:
