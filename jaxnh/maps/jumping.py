@@ -31,7 +31,7 @@ from jaxnh.maps.general_flow import (
     stages_in_loop,
 )
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.maps.saltation import Arrival, EventPassage, Heights, Reading, any_of, pick, side_from
+from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Heights, Reading, any_of, pick, side_from
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -257,13 +257,8 @@ class _Lane:
         onwards = seeking & ~seen & ~pausing
         moved = onwards | arrived
         event = arrived & march.sure & (sought_rate * rising > 0.0)
-        arrival = Arrival(event, sought, side, stretch)
-        if self._holding:
-            arrival = arrival._replace(released=pick(sought, march.side) == 0.0, step=end - grid[march.step])
-        after = self._passage.after_event(reading, self._sides_after(march, passages, arrived), march.rounding, arrival)
-        sound = finite & _finite(after.moving.state)
-        if self._holding:
-            sound &= after.moving.state.reason != CODIMENSION_TWO
+        arrival = Arrival(event, event, sought, side, stretch, stretch)
+        after, sound = self._after(march, reading, passages, arrived, arrival)
 
         def chosen(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(moved, n, o), new, old)
@@ -288,7 +283,7 @@ class _Lane:
             settled=jnp.where(moved | seen, False, pausing | (~seeking & near)),
             again=jnp.where(moved, False, march.again | (seen & ~seeking)),
             events=jnp.where(onwards, 0, jnp.where(arrived, march.events + 1, march.events)),
-            lost=moved & ~sound,
+            lost=moved & ~(finite & sound),
         )
 
     # ---- parts of a trial
@@ -351,6 +346,18 @@ class _Lane:
             for side, holds in zip(sides, self._system.holds, strict=True)
         )
 
+    def _after(
+        self, march: _March, reading: Reading, passages: _Passages, arrived: Array, arrival: Arrival
+    ) -> tuple[AfterEvent, Array]:
+        """The lane after a trial, and after an event that it may have ended at; and whether it can go on."""
+        if self._holding:
+            grid = jnp.asarray(self.strobe.grid)
+            met = arrival.event & (pick(arrival.sought, march.side) != 0.0)
+            arrival = arrival._replace(passes=met, step=grid[march.step + 1] - grid[march.step])
+        after = self._passage.after_event(reading, self._sides_after(march, passages, arrived), march.rounding, arrival)
+        sound = _finite(after.moving.state)
+        return after, sound & (after.moving.state.reason != CODIMENSION_TWO) if self._holding else sound
+
     def _sides_after(self, march: _March, passages: _Passages, arrived: Array) -> Heights:
         """Sides at the end of a trial, before the event that it may end with."""
         sides = tuple(
@@ -368,7 +375,7 @@ class _Lane:
         """A lane at the beginning, on what holds it; its sides, and whether it is held twice."""
         passage, (t, moving) = self._passage, reading[:2]
         found = self._system.held_sides(t, moving.state, passage.own, sides)
-        twice = sum(jnp.where(side == 0.0, 1, 0) for side in found) > 1
+        twice = jnp.sum(jnp.stack(found) == 0.0, axis=0) > 1
         reason = jnp.where(twice, 1.0 * CODIMENSION_TWO, moving.state.reason)
         moving = moving._replace(state=moving.state._replace(reason=reason))
         return passage.read(t, passage.bring_back(t, moving, found), found), found, twice

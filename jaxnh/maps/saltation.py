@@ -53,24 +53,19 @@ class Arrival(NamedTuple):
 
     Attributes:
         event: whether there is one.
+        passes: whether a wall or a surface is met from one of its sides, and does not release a motion that it held.
         sought: number of the wall or surface.
         side: of it, before.
         length: of time in which the event was looked for.
-        released: whether it is the release of a motion that is held up to there; None where none ever is.
-        step: length of the whole step; None likewise.
+        step: length of the whole step, where motions may be held.
     """
 
     event: Array
+    passes: Array
     sought: Array
     side: Array
     length: Array
-    released: Array | None = None
-    step: Array | None = None
-
-    @property
-    def passes(self) -> Array:
-        """Whether a wall or a surface is met from one of its sides."""
-        return self.event if self.released is None else self.event & ~self.released
+    step: Array
 
     def at(self, k: int) -> Array:
         """Return whether the wall or surface with a number is met from one of its sides."""
@@ -283,7 +278,7 @@ class EventPassage:
         sides, released = list(crossed), [jnp.bool_(False)] * count
         for k in range(count):
             if holds[k]:
-                here, freed = arrival.at(k), arrival.event & arrival.released & (arrival.sought == k)
+                here, freed = arrival.at(k), arrival.event & ~arrival.passes & (arrival.sought == k)
                 settles = self._settles(k, end, heights[k], motion, arrival)
                 stays = jnp.where(here, settles, ~arrival.event | (motion.holds & on)) & ~freed
                 beside = jnp.where(on | here, motion.leaves, jnp.where(heights[k] >= 0.0, 1.0, -1.0))
