@@ -113,6 +113,7 @@ class PiecewiseSmooth(FirstOrder):
 
     # ---- motions that are held
 
+    @jax.jit  # traced once, and not for each of its uses: half the tracing of a ball's derivative (1.0 s of 2.2)
     def held(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> HeldMotion:
         """The motion on the wall or surface whose side is 0; where there is none the free one.
 

@@ -59,11 +59,19 @@ def test_up_is_the_default(tmp_path):
     assert jaxnh.load(write(tmp_path, FILE.replace('"direction": "up", ', ""))).flow().jumps == ("up",)
 
 
+def test_what_holds_motions(tmp_path):
+    assert not jaxnh.load(write(tmp_path)).flow().loses_rank
+    text = FILE.replace('"on": surface', '"on": surface, "sliding": True').replace("bounce}", 'bounce, "rest": True}')
+    assert jaxnh.load(write(tmp_path, text)).flow().holds == (True, True)
+
+
 FAULTS = {
     "no list": (("[{\"on\": surface}]", "{\"on\": surface}"), ":3: switches must be a list of mappings, as in switches=[{\"on\": surface}]"),
     "no mapping": (("[{\"on\": surface}]", "[surface]"), ":3: switches must be a list of mappings, as in switches=[{\"on\": surface}]"),
-    "a key": (('"direction"', '"dircetion"'), ":3: jumps[0] has 'dircetion', which is unknown (did you mean direction?); known are when, direction, then"),
+    "a key": (('"direction"', '"dircetion"'), ":3: jumps[0] has 'dircetion', which is unknown (did you mean direction?); known are when, direction, then, rest"),
     "a direction": (('"up"', '"upwards"'), ":3: jumps[0].direction must be one of up, down, both, not 'upwards'"),
+    "no flag": (("\"on\": surface", "\"on\": surface, \"sliding\": 1"), ":3: switches[0].sliding must be True or False, not 1"),
+    "a flag of the other kind": (("\"on\": surface", "\"on\": surface, \"rest\": True"), ":3: switches[0] has 'rest', which is unknown"),
     "nothing after": ((', "then": bounce', ""), ":3: jumps[0] must also have then, as in jumps=[{"),
     "no function": (('"when": wall', '"when": 0.0'), ":3: jumps[0].when must be a function of (y, t)"),
     "other arguments": (("def bounce(y, t)", "def bounce(y)"), ":10: jumps[0].then must be a function of (y, t)"),
