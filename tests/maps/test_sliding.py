@@ -134,9 +134,6 @@ def dry_exactly(y, mu, w):
         y = np.array([arc(begun, from_y, t, w, force)[0], 0.0])
 
 
-DRY = [(0.3, 0.4), (0.6, 0.4), (0.5, 0.7)]  # friction and frequency, of periods with two stops and with more
-
-
 def test_dry_friction_is_exact():
     """Periods with stops, whole and in parts, some of which begin at a stop; and their derivatives, of rank one."""
     system = piecewise_smooth(dry, {"mu": 0.3, "w": 0.4})
