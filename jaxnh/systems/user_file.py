@@ -30,6 +30,7 @@ units={"x": "m"}. Whatever is wrong with the file is said in one line with its p
 from __future__ import annotations
 
 import difflib
+import functools
 import hashlib
 import inspect
 import math
@@ -45,6 +46,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxnh.exceptions import InputError, UserFileError
+from jaxnh.systems.corners import with_switches
 from jaxnh.systems.discrete_map import DiscreteMap, discrete_map
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
@@ -126,7 +128,6 @@ class UserFile:
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.states, self.integrals = states_in(definition), tuple(definition.get("integrals", ()))
         self.discrete, self.mechanical = "map" in definition, "T" in definition
-        self._eventful = any(definition.get(kind) for kind in EVENTS)
         if self.mechanical:
             uses_time = self._try_mechanics(definition)
         else:
@@ -220,15 +221,22 @@ class UserFile:
             UserFileError: the equations are other ones a period later.
         """
         self._check_period(parameters)
-        of_points = piecewise_smooth if self._eventful else first_order
+        define = self.define if self.mechanical or self.discrete else self._with_switches
+        eventful = any(define(**parameters).get(kind) for kind in EVENTS)
+        of_points = piecewise_smooth if eventful else first_order
         made = lagrangian if self.mechanical else discrete_map if self.discrete else of_points
         try:
-            flow = made(self.define, parameters, of_lanes)
+            flow = made(define, parameters, of_lanes)
         except UserFileError:
             raise
         except InputError as error:
             raise self._fault(self._line_of("rates"), str(error)) from None
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
+
+    @functools.cached_property
+    def _with_switches(self) -> Callable[..., Mapping[str, Any]]:
+        """Its definition, of a right-hand side with switches for its corners and jumps."""
+        return self._guarded(lambda: with_switches(self.define, self.parameters))
 
     def _check_period(self, parameters: Mapping[str, float]) -> None:
         """Hold the equations against themselves a period later, at random states and times."""
