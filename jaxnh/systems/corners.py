@@ -47,7 +47,6 @@ class PiecewiseField:
 
     Attributes:
         surfaces: they.
-        unlocated: names of what changes without a surface that steps could end on.
     """
 
     def __init__(self, define: Callable[..., Definition], parameters: Mapping[str, float]) -> None:
@@ -67,7 +66,7 @@ class PiecewiseField:
         self.surfaces: list[Surface] = []
         self._sides: dict[Slot, list[list[tuple[int, float]]]] = {}
         self._numbers: dict[Any, int] = {}
-        self.unlocated = tuple(dict.fromkeys(self._place_all()))
+        self._place_all()
         if len(self.surfaces) > _MOST_SURFACES:
             self.surfaces, self._sides = [], {}
         if self.surfaces:
@@ -91,22 +90,18 @@ class PiecewiseField:
 
     # ---- surfaces
 
-    def _place_all(self) -> Iterator[str]:
-        """Note the surfaces of all equations; the names of those that have none, though they change with the motion."""
+    def _place_all(self) -> None:
+        """Note the surfaces of all equations that change with the motion."""
         leaping: set[Slot] = set()
         for step in self._program.steps:
-            name = step.equation.primitive.name
             if self._needed.isdisjoint(step.makes) or not self._moves[step.makes[0]]:
                 continue
+            name = step.equation.primitive.name
             leaps = any(slot in leaping for slot in step.reads if not isinstance(slot, KnownValue))
-            own = name in _OPERANDS and _is_real(step.equation)
-            if own and not leaps:
+            corner = name in _OPERANDS and _is_real(step.equation)
+            if corner and not leaps:  # surfaces of what jumps itself are left to the steps
                 self._place(step)
-            elif name in _WITHOUT_SURFACE or own:
-                yield name
-            else:
-                yield from _names_within(step.equation)
-            if leaps or ((own or name in _WITHOUT_SURFACE) and name not in _CONTINUOUS):
+            if leaps or ((corner or name in _WITHOUT_SURFACE) and name not in _CONTINUOUS):
                 leaping |= set(step.makes)
 
     def _place(self, step: Step) -> None:
@@ -296,6 +291,21 @@ def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.any(np.where(finite, np.abs(one - other), np.inf) > _ALIKE * size, axis=0)
 
 
+def names_without_surface(function: Callable[..., Any], *arguments: Any) -> tuple[str, ...]:
+    """Names of the equations of a function that change without a surface which steps could end on, as floor does.
+
+    Args:
+        function, arguments: as of `Program`.
+    """
+    names = list[str]()
+    for step in Program(function, *arguments).steps:
+        custom = step.equation.primitive.name.startswith("custom_")
+        within = () if custom else tuple(_equations_within(step.equation))
+        names += [each.primitive.name for each in within if each.primitive.name in _OPERANDS and _is_real(each)]
+        names += [each.primitive.name for each in (step.equation, *within) if each.primitive.name in _WITHOUT_SURFACE]
+    return tuple(dict.fromkeys(names))
+
+
 def _value(read: Read, values: Mapping[Slot, Any]) -> Any:
     return read.value if isinstance(read, KnownValue) else values[read]
 
@@ -312,15 +322,6 @@ def _equations_within(equation: Any) -> Iterator[Any]:
             for each in inner.eqns:
                 yield each
                 yield from _equations_within(each)
-
-
-def _names_within(equation: Any) -> Iterator[str]:
-    """Names of corners and jumps in the programs that an equation calls; none where it defines its own derivative."""
-    if not equation.primitive.name.startswith("custom_"):
-        for each in _equations_within(equation):
-            name = each.primitive.name
-            if name in _WITHOUT_SURFACE or (name in _OPERANDS and _is_real(each)):
-                yield name
 
 
 def _is_piecewise_linear(equation: Any) -> bool:

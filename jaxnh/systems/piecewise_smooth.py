@@ -78,8 +78,12 @@ class PiecewiseSmooth(FirstOrder):
 
     def rhs(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> PiecewisePoint:
         """Time derivative of a state by the branch of the field that it is in; on a surface by that above it."""
+        return self.branch(t, y, p, self.sides(t, y, p))
+
+    def sides(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
+        """The side of each switch that a state is on: +1 above it and on it, −1 below."""
         heights = self.heights(t, y, p)[len(self.jumps) :] if self.switches else ()
-        return self.branch(t, y, p, tuple(jnp.where(height >= 0.0, 1.0, -1.0) for height in heights))
+        return tuple(jnp.where(height >= 0.0, 1.0, -1.0) for height in heights)
 
     def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """Time derivative of a state by a branch of the field, wherever the state is.
