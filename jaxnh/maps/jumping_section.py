@@ -52,7 +52,7 @@ class _EqualSteps(JumpingStrobe):
 
     def end_of(self, step: Array) -> Array:
         """Time at the end of a step."""
-        return jnp.asarray(self.grid)[1] * (step + 1.0)
+        return jnp.asarray(self.grid)[1] * (step + 1).astype(float)
 
 
 class _Search(NamedTuple):

@@ -303,7 +303,7 @@ def names_without_surface(function: Callable[..., Any], *arguments: Any) -> tupl
         within = () if custom else tuple(_equations_within(step.equation))
         names += [each.primitive.name for each in within if each.primitive.name in _OPERANDS and _is_real(each)]
         names += [each.primitive.name for each in (step.equation, *within) if each.primitive.name in _WITHOUT_SURFACE]
-    return tuple(dict.fromkeys(names))
+    return tuple(dict.fromkeys(name.removeprefix("reduce_") for name in names))
 
 
 def _value(read: Read, values: Mapping[Slot, Any]) -> Any:
