@@ -431,11 +431,11 @@ KINDS = {
         moebius.MOEBIUS_IN_SPACE,
     ),
     "a right-hand side with jumps on a section": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1, phase: 0.5}\nsweep: {"
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1, clock: 0.5}\nsweep: {"
         + MU
         + "}\n"
         + STEPS
-        + "\nsection: {coordinate: phase, value: 0.5, direction: up}",
+        + "\nsection: {coordinate: clock, value: 0.5, direction: up}",
         MOEBIUS
         | dict.fromkeys(
             ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)

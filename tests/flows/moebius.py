@@ -67,7 +67,7 @@ import jax.numpy as jnp
 
 def system(mu=0.1, nu=0.0):
     def rhs(y, t):
-        u, v, phase = y
+        u, v, clock = y
         return (mu - nu - u**2) * u, -v, 1.0
 
     def wall(y, t):
@@ -80,7 +80,7 @@ def system(mu=0.1, nu=0.0):
         return y[0], y[1], y[2] - 2 * jnp.pi
 
     jumps = [{"when": wall, "then": turn}, {"when": lambda y, t: y[2] - 6.0, "then": again}]
-    return {"rhs": rhs, "coordinates": ("u", "v", "phase"), "time_unit": 2 * jnp.pi, "jumps": jumps}
+    return {"rhs": rhs, "coordinates": ("u", "v", "clock"), "time_unit": 2 * jnp.pi, "jumps": jumps}
 """
 
 
