@@ -1,7 +1,7 @@
 """The map from crossing to crossing of a section, of flows whose state jumps or whose field changes.
 
-The section is one more surface that steps end on (`jumping`), at which nothing changes. So crossings lie between events,
-and a jump that carries a motion over the section is none.
+The section is one more surface that steps end on (`jumping`), at which nothing changes. So crossings lie between
+events, and a jump that carries a motion over the section is none.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class _EqualSteps(JumpingStrobe):
         return jnp.asarray(self.grid)[1] * (step + 1).astype(float)
 
 
-class _Search(NamedTuple):
+class _Approach(NamedTuple):
     """On the way to a crossing.
 
     Attributes:
@@ -129,7 +129,7 @@ class JumpingSection(ReturnMap):
         by_tangent: tuple[Array, ...],
         p: Parameters,
         by_p: list[Any],
-    ) -> _Search:
+    ) -> _Approach:
         """Steps until n crossings are met, or there is no hope of the next one."""
         grid = jnp.stack([jnp.zeros_like(jnp.asarray(self.step)), jnp.asarray(self.step)])
         lane = _EqualSteps(_with_section(self.system), self.solver, grid, self.most_steps).lane(
@@ -138,12 +138,12 @@ class JumpingSection(ReturnMap):
         march = lane.begin(begun, grid)
         side = side_of_section(self.system, start.state, march.rate[-1], self.step)
         march = march._replace(side=(*march.side[:-1], side))
-        first = _Search(march, start.t, by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])
+        first = _Approach(march, start.t, by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])
 
-        def unfinished(search: _Search) -> Array:
+        def unfinished(search: _Approach) -> Array:
             return (search.left > 0) & lane.unfinished(search.march)
 
-        def advance(search: _Search) -> _Search:
+        def advance(search: _Approach) -> _Approach:
             before, after = search.march, lane.trial(search.march)
             met = (after.events > before.events) & (before.sought == len(before.side) - 1)
             met &= after.side[-1] != before.side[-1]
@@ -158,7 +158,7 @@ class JumpingSection(ReturnMap):
                 stretch=jnp.zeros_like(after.stretch) + grid[1],
                 events=jnp.zeros_like(after.events),
             )
-            return _Search(
+            return _Approach(
                 jax.tree.map(lambda new, old: jnp.where(met, new, old), again, after),
                 jnp.where(met, search.t + after.t, search.t),
                 tuple(jnp.where(met, x + dt, x) for x, dt in zip(search.by_tangent, later, strict=True)),
@@ -181,7 +181,7 @@ class JumpingSection(ReturnMap):
         grown = None if moving.log_volume is None else moving.log_volume + jnp.log(jnp.abs(leaving / rate))
         return Moving(moving.state, tangents, grown), later
 
-    def _arrived(self, start: Crossing, ended: _Search) -> Crossing:
+    def _arrived(self, start: Crossing, ended: _Approach) -> Crossing:
         """The crossing, or a lane that has failed and says why."""
         march, crossed = ended.march, ended.left <= 0
         unmet = jnp.where(march.step < self.most_steps, 1.0 * CHATTERING, 1.0 * NO_RETURN)

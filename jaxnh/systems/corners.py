@@ -78,7 +78,8 @@ class PiecewiseField:
         Args:
             sides: +1 or −1 for each surface.
         """
-        instead = {step.makes[0]: self._branch(step, sides) for step in self._program.steps if step.makes[0] in self._sides}
+        located = (step for step in self._program.steps if step.makes[0] in self._sides)
+        instead = {step.makes[0]: self._branch(step, sides) for step in located}
         return self._program.results(self._values(p, y, t, self._needed, instead))
 
     def height(self, number: int, p: Mapping[str, Any], y: tuple[Any, ...], t: Any) -> Any:
@@ -169,46 +170,51 @@ class PiecewiseField:
         with that of the other side. A surface that is touched alone, as r = 0, has none; one that is not reached, or
         beside which nothing is finite, stays.
         """
-        draws, count = np.random.default_rng(0), len(self.surfaces)
-        each, p = np.arange(count), dict[str, np.ndarray]()
-        for name, value in parameters.items():
-            p[name] = value + (0.1 * abs(value) + 0.1) * draws.uniform(-1.0, 1.0, (_PROBES, count))
-        begin = draws.uniform(-2.0, 2.0, (len(self._program.inputs) - len(p), _PROBES, count))
+        draws, each = np.random.default_rng(0), np.arange(len(self.surfaces))
+        shape = (_PROBES, len(each))
+        p = {
+            name: value + (0.1 * abs(value) + 0.1) * draws.uniform(-1.0, 1.0, shape)
+            for name, value in parameters.items()
+        }
+        z = draws.uniform(-2.0, 2.0, (len(self._program.inputs) - len(p), *shape))
+        heights, rates = jax.jit(self._heights_with_slopes), jax.jit(pointwise(self._rates_with_time))
 
-        @jax.jit
+        def above(z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Heights (surfaces, probes, surfaces); that above the surface that is gone to, and its slopes."""
+            height, slopes = heights(p, tuple(z))
+            height, slopes = np.asarray(height), np.stack([np.asarray(slope)[each, :, each].T for slope in slopes])
+            return height, height[each, :, each].T, slopes
+
+        for _ in range(_NEWTON_STEPS):
+            _, height, slopes = above(z)
+            z = z - height * slopes / np.maximum(np.sum(slopes**2, axis=0), 1e-300)
+        _, height, slopes = above(z)
+        reached, differs, sides = np.abs(height) < _ALIKE, np.zeros(shape, bool), list[np.ndarray]()
+        normal = _BESIDE * slopes / np.sqrt(np.maximum(np.sum(slopes**2, axis=0), 1e-300))
+        for beside in (z - normal, z + normal):
+            own = np.where(above(beside)[0] >= 0.0, 1.0, -1.0)
+            other = own * np.where(each[:, None] == each, -1.0, 1.0)[:, None, :]
+            sides.append(own[each, :, each].T)
+            one, two = (np.stack(np.broadcast_arrays(*rates(p, tuple(beside), tuple(side)))) for side in (own, other))
+            differs |= _differ(one, two)
+        return np.any(reached & (sides[0] != sides[1]) & differs, axis=0) | ~np.any(reached, axis=0)
+
+    def _heights_with_slopes(self, p: Mapping[str, Any], z: tuple[Any, ...]) -> tuple[Any, list[Any]]:
+        """Heights above all surfaces at (y, t) of any shape, and their derivatives in each of these numbers."""
+
         @pointwise
-        def heights(p: Any, z: Any) -> Any:
-            """Heights, and their derivative in each number of a state and in time."""
-
+        def with_slopes(p: Any, z: Any) -> Any:
             def of(*z: Any) -> list[Any]:
-                return [self.height(k, p, z[:-1], z[-1]) for k in range(count)]
+                return [self.height(k, p, z[:-1], z[-1]) for k in range(len(self.surfaces))]
 
             units = [[jnp.float64(i == j) for i in range(len(z))] for j in range(len(z))]
             return of(*z), [jax.jvp(of, z, tuple(unit))[1] for unit in units]
 
-        def own(p: Any, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Height above the surface that is gone to, and the direction in which it rises, times its slope."""
-            height, slopes = (np.asarray(jnp.asarray(part)) for part in heights(p, tuple(z)))
-            return height[each, :, each].T, np.stack([slope[each, :, each].T for slope in slopes])
+        height, slopes = with_slopes(p, z)
+        return jnp.stack(height), [jnp.stack(slope) for slope in slopes]
 
-        z = begin
-        for _ in range(_NEWTON_STEPS):
-            height, slope = own(p, z)
-            z = z - height * slope / np.maximum(np.sum(slope**2, axis=0), 1e-300)
-        height, slope = own(p, z)
-        reached, crossed = np.abs(height) < _ALIKE, np.abs(height) < _ALIKE
-        normal = _BESIDE * slope / np.sqrt(np.maximum(np.sum(slope**2, axis=0), 1e-300))
-        differs, before = np.zeros(height.shape, bool), np.zeros(height.shape)
-        rates = jax.jit(pointwise(lambda p, z, s: list(self.rates(p, z[:-1], z[-1], s))))
-        for beside in (z - normal, z + normal):
-            sides = np.where(np.asarray(jnp.asarray(heights(p, tuple(beside))[0])) >= 0.0, 1.0, -1.0)
-            other = sides * np.where(each[:, None] == each, -1.0, 1.0)[:, None, :]
-            crossed &= sides[each, :, each].T != before
-            before = sides[each, :, each].T
-            one, two = (np.stack([np.broadcast_to(r, height.shape) for r in rates(p, tuple(beside), tuple(s))])
-                        for s in (sides, other))
-            differs |= _differ(one, two)
-        return np.any(crossed & differs, axis=0) | ~np.any(reached, axis=0)
+    def _rates_with_time(self, p: Mapping[str, Any], z: tuple[Any, ...], sides: tuple[Any, ...]) -> list[Any]:
+        return list(self.rates(p, z[:-1], z[-1], sides))
 
     def _drop(self, unused: np.ndarray) -> None:
         """Leave surfaces out, and equations all of whose surfaces are left out as they are."""

@@ -84,7 +84,9 @@ def test_strobes_follow_each_other():
         for k in range(3):
             y, _, t, _ = returned(x[k], u[k], float(data["a"][lane]))
             assert np.abs(y[:2] - [x[k + 1], u[k + 1]]).max() < 1e-8
-            assert t == pytest.approx(float(data["t"].to_numpy()[lane][k + 1] - data["t"].to_numpy()[lane][k]), abs=1e-8)
+            assert t == pytest.approx(
+                float(data["t"].to_numpy()[lane][k + 1] - data["t"].to_numpy()[lane][k]), abs=1e-8
+            )
 
 
 def test_doubling_and_exponents():

@@ -91,7 +91,9 @@ def sawtooth():
     return {
         "rhs": lambda y, t: (1.0 + 0.0 * y[0], -y[1]),
         "coordinates": ("x", "y"),
-        "jumps": ({"when": lambda y, t: y[0] - 1.0, "direction": "up", "then": lambda y, t: (-1.0 + 0.0 * y[0], y[1])},),
+        "jumps": (
+            {"when": lambda y, t: y[0] - 1.0, "direction": "up", "then": lambda y, t: (-1.0 + 0.0 * y[0], y[1])},
+        ),
     }
 
 

@@ -42,7 +42,7 @@ SURFACES = {
     "one in many forms": (
         lambda y, t, a: (
             jnp.abs(y[0] - 1.0) + jnp.abs(1.0 - y[0]) + jnp.maximum(y[0], 1.0) + jnp.sign(1.0 - y[0]),
-            jnp.where(y[0] > 1.0, y[1], jnp.where(1.0 >= y[0], y[2], 0.0)),
+            jnp.where(y[0] > 1.0, y[1], jnp.where(y[0] <= 1.0, y[2], 0.0)),
             0.0,
         ),
         1,
