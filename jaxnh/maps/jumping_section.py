@@ -33,18 +33,20 @@ class _WithSection(PiecewiseSmooth):
     """A flow with one more switch, on its section, which its field does not read.
 
     Attributes:
-        section: of the flow as it is.
+        as_it_is: the flow without that.
+        section: its section.
     """
 
+    as_it_is: PiecewiseSmooth
     section: Section
 
     def heights(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
         """Heights of the flow, then that above the section."""
-        return *self.section.flow.heights(t, y, p), self.section.height(y)
+        return *self.as_it_is.heights(t, y, p), self.section.height(y)
 
     def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """Time derivative of a state by a branch of the field of the flow."""
-        return self.section.flow.branch(t, y, p, sides[:-1])
+        return self.as_it_is.branch(t, y, p, sides[:-1])
 
 
 class _EqualSteps(JumpingStrobe):
@@ -193,6 +195,6 @@ class JumpingSection(ReturnMap):
 
 def _with_section(section: Section) -> _WithSection:
     """The flow of a section with the section among its surfaces."""
-    flow = section.flow
+    flow: Any = section.flow
     parts = {field.name: getattr(flow, field.name) for field in dataclasses.fields(flow)}
-    return _WithSection(**{**parts, "switches": flow.switches + 1}, section=section)
+    return _WithSection(**{**parts, "switches": flow.switches + 1}, as_it_is=flow, section=section)

@@ -124,10 +124,9 @@ class PiecewiseField:
         if zero and step and step.equation.primitive.name == "sub":
             above, below, zero = *step.reads, False
         elif zero and step and step.equation.primitive.name == "add":
-            constant = [self._constant(slot) for slot in step.reads]
-            k = next((k for k in (0, 1) if constant[k] is not None), None)
-            if k is not None:
-                above, below, zero = step.reads[1 - k], KnownValue(np.float64(-constant[k])), False
+            for one, other in (step.reads, step.reads[::-1]):
+                if (value := self._constant(other)) is not None:
+                    above, below, zero = one, KnownValue(np.float64(-value)), False
         inner = None if isinstance(above, KnownValue) else made_by.get(above)
         value = 0.0 if zero or below is None else self._constant(below)
         if inner and inner.equation.primitive.name == "neg" and value is not None:

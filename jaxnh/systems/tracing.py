@@ -120,8 +120,8 @@ class Program:
         for step in filter(wanted, self.steps):
             values = [slot.value if isinstance(slot, KnownValue) else slot_values[slot] for slot in step.reads]
             primitive = step.equation.primitive
-            replacement = instead and (instead.get(step.makes[0]) or instead.get(primitive))
-            if replacement:
+            replacement = instead.get(step.makes[0], instead.get(primitive)) if instead else None
+            if replacement is not None:
                 results = [replacement(*values)]
             elif primitive.name.startswith("custom_"):  # its parameters are not those that it is bound with
                 results = _alone(step.equation, self._program)(*values)

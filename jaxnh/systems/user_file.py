@@ -65,6 +65,7 @@ from jaxnh.systems.user_functions import (
     line_of_code,
     pointwise,
     takes,
+    with_lists_of_names,
 )
 from jaxnh.systems.user_names import check_names, fault_of_count, state_sizes, states_in
 from jaxnh.systems.user_text import Names, read_text
@@ -74,7 +75,6 @@ _OF_ALL = ("coordinates", "angles", "labels", "units")
 _FIRST_ORDER = ("rhs", "jumps", "switches", *_CLOCKS, *_OF_ALL)
 _MECHANICS = ("T", "Q", "f", "ignorable", "integrals", *QUASI_KEYS, *_CLOCKS, *_OF_ALL)
 _MAP = ("map", *_OF_ALL)
-_LISTS_OF_NAMES = ("coordinates", "angles", "ignorable", "quasi_velocities", "dependent")
 _OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a number a coordinate, or a constraint
 _ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "rates": "(q, u, t)", **dict.fromkeys("TQf", "(q, v, t)")}  # of functions
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
@@ -170,7 +170,7 @@ class UserFile:
                 "system must return dict(rhs=..., coordinates=...), or dict(T=..., Q=..., ...), or dict(map=..., ...)"
             )
             raise self._fault(line, message)
-        definition = _with_lists_of_names(said)
+        definition = with_lists_of_names(said)
         main, known = next(((key, keys) for key, keys in _OWN_KEYS.items() if key in definition), ("T", _MECHANICS))
         for name in definition:
             if name not in known:
@@ -393,9 +393,3 @@ def _unknown(name: str, main: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1)
     meant = f" (did you mean {close[0]}?)" if close else ""
     return f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"
-
-
-def _with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:
-    """A definition with one name as a tuple of it."""
-    names = {key: (definition[key],) for key in _LISTS_OF_NAMES if isinstance(definition.get(key), str)}
-    return {**definition, **names}
