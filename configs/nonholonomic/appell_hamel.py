@@ -1,9 +1,9 @@
 """The machine of Appell and Hamel, a nonlinear constraint: horizontal speed and vertical speed have a fixed ratio.
 
 Appell (Rend. Circ. Mat. Palermo 32 (1911) 48); Hamel, Theoretische Mechanik (1949). Their mass falls freely, with
-z'' = -g/(1 + ratio**2). Here it falls through air and a lattice of horizontal forces of period 2 pi, in a periodic wind;
-these, and all values, are chosen here. It never stops, which the constraint would not outlast, while the horizontal forces
-are below gravity/ratio.
+z'' = -g/(1 + ratio**2). Here it falls through air and a lattice of horizontal forces of period 2 pi, in a periodic
+wind; these, and all values, are chosen here. The constraint is singular at rest, which a motion does not come to where
+the horizontal forces are below gravity/ratio.
 """
 
 import jax.numpy as jnp

@@ -1,8 +1,8 @@
 """Two coupled particles whose kinetic energy together is kept: Gauss's isokinetic thermostat as a constraint.
 
-Hoover, Ladd and Moran (Phys. Rev. Lett. 48 (1982) 1818); Evans (J. Chem. Phys. 78 (1983) 3297). Dettmann and Morriss (Phys.
-Rev. E 53 (1996) R5545): but for two that vanish, exponents come in pairs of the same sum. The forces have a potential,
-a slope in a lattice of period 2 pi, and are chosen here.
+Hoover, Ladd and Moran (Phys. Rev. Lett. 48 (1982) 1818); Evans (J. Chem. Phys. 78 (1983) 3297). Exponents come in pairs
+of the same sum where the forces have a potential (Dettmann and Morriss, Phys. Rev. E 53 (1996) R5545), but for those
+of the flow and of the kinetic energy. This potential, a slope and a lattice of period 2 pi, is chosen here.
 """
 
 import jax.numpy as jnp

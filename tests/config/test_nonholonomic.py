@@ -12,7 +12,7 @@ import pytest
 import jaxnh
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.user_file import UserFile
-from tests.helpers.cases import some_slow
+from tests.helpers.commands import run_here
 from tests.helpers.paths import ROOT
 
 FOLDER = ROOT / "configs/nonholonomic"
@@ -153,3 +153,95 @@ def test_reduced_equations(name):
     rates = jax.jit(jax.vmap(flow.rhs))(t, Motion(q, v, (zero, zero)), lanes)
     assert not np.isnan(rates.watch[1]).any()
     assert np.abs(np.array([*rates.q, *rates.v]) - np.array(exact)).max() < EXACT
+
+
+# ---- their motion
+
+SMALL = {
+    "diagram": "{transient: 4, strobes: 8}",
+    "lyapunov": "{transient: 8, periods: 16, exponents: 1}",
+    "portrait": "{transient: 0, periods: 4, samples: 4}",
+}
+
+
+def small_run(name, folder):
+    """The result of a config at the ends of its sweep, few periods of it, by steps that are given."""
+    made = jaxnh.load(FOLDER / f"{name}.yaml")
+    (axis,) = made.axes
+    ends = f"sweep.{axis.name}={{values: [{axis.values[0]}, {axis.values[-1]}]}}"
+    analyses = [f"analyses.{analysis}={SMALL[analysis]}" for analysis in made.analyses]
+    output = folder / f"{name}.h5"
+    done = run_here(
+        f"configs/nonholonomic/{name}.yaml",
+        ends,
+        "accuracy={solver: verner9, steps: 100}",
+        *analyses,
+        "--output",
+        output,
+    )
+    assert done.returncode == 0, done.stderr
+    return jaxnh.open_result(output)
+
+
+def energy_in_a_valley(data):
+    """On x = 0, with the parameters of the file."""
+    along, turn, theta = data["along"], data["turn"], data["theta"]
+    return 0.5 * (along**2 + (0.5 * turn) ** 2 + 0.2 * turn**2) + 0.5 * (0.5 * np.cos(theta)) ** 2
+
+
+def energy_of_suslov(data):
+    return 0.5 * (2.0 * data["w1"] ** 2 + 3.0 * data["w2"] ** 2) + data["g3"]
+
+
+def energy_of_parallel_velocities(data):
+    x, y, z, w = (data[name] for name in ("x1", "y1", "x2", "y2"))
+    u, v, r, s = (data[f"{name}_dot"] for name in ("x1", "y1", "x2", "y2"))
+    springs = x**2 + z**2 + 1.7 * (y**2 + w**2) + (x * y) ** 2 + (z * w) ** 2 + 0.5 * ((x - z) ** 2 + (y - w) ** 2)
+    return 0.5 * (u**2 + v**2) + r**2 + s**2 + 0.5 * springs
+
+
+ENERGIES = {
+    "sleigh_in_a_valley": energy_in_a_valley,
+    "suslov": energy_of_suslov,
+    "parallel_velocities": energy_of_parallel_velocities,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted({*SYSTEMS} | ELSEWHERE))
+def test_config_in_small(name, tmp_path):
+    """No lane fails, none leaves its constraint by more than steps of order nine do, and energies stay."""
+    for group, node in small_run(name, tmp_path).children.items():
+        data = node.to_dataset()
+        assert np.all(data["status"] == 0), (name, group)
+        if "drift" in data:
+            assert float(data["drift"].max()) < 1e-8
+        if group in ("diagram", "portrait") and name in ENERGIES:
+            energy, level = ENERGIES[name](data), data["start_energy"]
+            assert float(np.abs(energy - level).max()) < 1e-8
+
+
+START = {
+    "x1": 0.5, "y1": 0.3, "x2": 2.0, "y2": -1.0,
+    "x1_dot": 1.0, "y1_dot": 0.4, "x2_dot": -0.8, "y2_dot": np.sqrt(0.2),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_exponents_of_the_thermostat_are_paired():
+    """But for the flow's own, they come in three pairs of one sum (Dettmann and Morriss 1996), a third of all.
+
+    The singular values of a tangent map are paired exactly over any time T; QR of it gives them up to factors that do
+    not grow, exponents to a few over T.
+    """
+    duration = 400
+    session = jaxnh.Session(UserFile(FOLDER / "thermostat.py").define, start=START, target=1e-8)
+    data = session.run(
+        jaxnh.Lyapunov(transient=50, periods=duration, exponents=7, method="averages"), slope=[0.5, 0.75]
+    )
+    assert np.abs(data["sum_rule_residual"].to_numpy()).max() < 1e-9
+    for exponents in data["exponents"].to_numpy():
+        others = np.delete(exponents, np.argmin(np.abs(exponents)))
+        sums = others + others[::-1]
+        assert sums.mean() < -0.05  # the field does work, which the thermostat takes out
+        assert np.abs(sums - sums.mean()).max() < 10 / duration
