@@ -1,7 +1,7 @@
 """Two points in the plane whose velocities stay parallel, a nonlinear constraint, each in an anharmonic well.
 
-Nonlinear constraints as this are those of Benenti (Rend. Sem. Mat. Univ. Pol. Torino 54 (1996); SIGMA 3 (2007) 036). The
-wells and their parameters are chosen here; no published values were found.
+Nonlinear constraints as this are those of Benenti (Rend. Sem. Mat. Univ. Pol. Torino 54 (1996); SIGMA 3 (2007) 036).
+The wells and their parameters are chosen here; no published values were found.
 """
 
 

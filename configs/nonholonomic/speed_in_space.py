@@ -1,7 +1,7 @@
 """The forced particle at constant speed, in three dimensions: the article's forces, and a third of their kind.
 
-In the plane z = 0 it is equation (12) of `Complete identification of chaos of nonlinear nonholonomic systems`. The third
-force is chosen here, and out of the plane there is no published value.
+In the plane z = 0 it is equation (12) of `Complete identification of chaos of nonlinear nonholonomic systems`. The
+third force is chosen here, and out of the plane there is no published value.
 """
 
 import jax.numpy as jnp
