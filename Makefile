@@ -39,10 +39,11 @@ flows: $(INSTALLED)
 # Nonholonomic systems of the literature (configs/nonholonomic), and the pictures of docs/gallery.md.
 gallery: $(addprefix gallery_,$(GALLERY))
 
-gallery_oscillating_mass: COORDINATES := --coordinates along
+gallery_oscillating_mass: PICTURE := --size 130x90 --coordinates along
+gallery_parallel_velocities: PICTURE := --coordinates x1,y1
 $(addprefix gallery_,$(GALLERY)): gallery_%: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/nonholonomic/$*.yaml --output results/$@.h5 --fresh
-	$(RUN)/python -m jaxnh.plot results/$@.h5 --size 130x90 $(COORDINATES)
+	$(RUN)/python -m jaxnh.plot results/$@.h5 $(or $(PICTURE),--size 130x90)
 
 # Both tables and all ten figures anew. Three at a time: each run uses all cores, but not while it imports, reads or draws.
 paper: $(INSTALLED)
