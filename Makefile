@@ -8,9 +8,10 @@ FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
 CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
+GALLERY := oscillating_mass sleigh_in_a_valley suslov appell_hamel parallel_velocities thermostat speed_in_space
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows paper effects startup first_answer newcomer claims docs release-check test browser check_types check_tests slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows gallery $(addprefix gallery_,$(GALLERY)) paper effects startup first_answer newcomer claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -34,6 +35,15 @@ flows: $(INSTALLED)
 	    || failed="$$failed $$flow"; \
 	done; \
 	if [ "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
+
+# Nonholonomic systems of the literature (configs/nonholonomic), and the pictures of docs/gallery.md.
+gallery: $(addprefix gallery_,$(GALLERY))
+
+gallery_oscillating_mass: PICTURE := --size 130x90 --coordinates along
+gallery_parallel_velocities: PICTURE := --coordinates x1,y1
+$(addprefix gallery_,$(GALLERY)): gallery_%: $(INSTALLED)
+	$(RUN)/python -m jaxnh.sweep configs/nonholonomic/$*.yaml --output results/$@.h5 --fresh
+	$(RUN)/python -m jaxnh.plot results/$@.h5 $(or $(PICTURE),--size 130x90)
 
 # Both tables and all ten figures anew. Three at a time: each run uses all cores, but not while it imports, reads or draws.
 paper: $(INSTALLED)

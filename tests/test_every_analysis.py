@@ -430,6 +430,19 @@ KINDS = {
         MOEBIUS | IN_SPACE | {"verdict": words("limit_cycle"), "basins": one_attractor},
         moebius.MOEBIUS_IN_SPACE,
     ),
+    "a right-hand side with jumps on a section": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1, clock: 0.5}\nsweep: {"
+        + MU
+        + "}\n"
+        + STEPS
+        + "\nsection: {coordinate: clock, value: 0.5, direction: up}",
+        MOEBIUS
+        | dict.fromkeys(
+            ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)
+        )
+        | {"verdict": words("limit_cycle")},
+        moebius.MOEBIUS_WITH_JUMPS_IN_TIME,
+    ),
     "a right-hand side in time": Kind(
         SPACE,
         {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}

@@ -315,7 +315,7 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
         if self._file.discrete:
             self.check_map()
         self.check_clock(not self.autonomous)
-        check_events(self.flow(), self.accuracy.solver, self.precision, sectioned=self.section is not None)
+        check_events(self.flow().flow, self.accuracy.solver, self.precision)
         super()._try_out()
 
     def _flow(self, parameters: Mapping[str, float]) -> UserFlow:

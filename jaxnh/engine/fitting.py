@@ -9,7 +9,7 @@ from jaxnh.analyses.options.base import Options, rule
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.config.blocks import Levels
 from jaxnh.config.messages import join_words
-from jaxnh.config.solver_names import NYSTROM, RUNGE_KUTTA
+from jaxnh.config.solver_names import ADAPTIVE, NYSTROM, RUNGE_KUTTA
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
@@ -29,18 +29,15 @@ def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> No
         raise rule(str(error), key, f"analyses.{name}", *axes) from None
 
 
-def check_events(flow: Flow, solver: str | None, precision: str, *, sectioned: bool) -> None:
-    """Check that section, solver and precision go with a flow that has jumps or switches.
+def check_events(flow: Flow, solver: str | None, precision: str) -> None:
+    """Check that solver and precision go with a flow that has jumps or switches.
 
     Raises:
         ValueError: one does not; the rule names the key.
     """
     if not isinstance(flow, PiecewiseSmooth):
         return
-    if sectioned:
-        wrong = "a system with jumps or switches is looked at once a unit of time, and not on a section: leave it out"
-        raise rule(wrong, "section")
-    if solver in NYSTROM:
+    if solver in NYSTROM or (flow.jumps and solver in ADAPTIVE):
         others = ", ".join(RUNGE_KUTTA)
         raise rule(f"{solver} has no steps that end at jumps or switches; {others} have", "accuracy.solver")
     if precision == "extended":

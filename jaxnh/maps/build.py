@@ -18,6 +18,7 @@ from jaxnh.maps.crossings import EventStrobe, SteppedStrobe
 from jaxnh.maps.general_flow import general_strobe, stack_leaves, unit_step
 from jaxnh.maps.iteration import IterationStrobe
 from jaxnh.maps.jumping import jumping_strobe
+from jaxnh.maps.jumping_section import JumpingSection
 from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
@@ -213,12 +214,16 @@ def _split_grid(flow: Flow, each: int, parts: int) -> np.ndarray:
 
 def _map_on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> ReturnMap:
     if isinstance(flow, PiecewiseSmooth):
-        if not isinstance(solver, WrittenOutRungeKutta):
-            raise TypeError(f"{type(solver).__name__} has no steps that end at jumps and switches")
-        return jumping_strobe(flow, solver, grid)
+        return jumping_strobe(flow, _with_events(solver), grid)
     if isinstance(solver, Nystrom):
         return nystrom_strobe(flow, solver, grid)
     return general_strobe(flow, _check_solver(solver), grid)
+
+
+def _with_events(solver: Any) -> WrittenOutRungeKutta:
+    if not isinstance(solver, WrittenOutRungeKutta):
+        raise TypeError(f"{type(solver).__name__} has no steps that end at jumps and switches")
+    return solver
 
 
 def _check_solver(solver: Any) -> diffrax.AbstractSolver:
@@ -275,6 +280,8 @@ def make_return_map(
         return _adaptive(system, solver, steps, span)
     if isinstance(system, Section):
         most = math.ceil(system.longest * steps)
+        if isinstance(system.flow, PiecewiseSmooth):
+            return JumpingSection(system, _with_events(solver), system.flow.period / steps, np.int32(most))
         return EventStrobe(system, _unit_step(system.flow, solver), system.flow.period / steps, np.int32(most))
     t0, t1 = span or (0.0, system.period)
     if system.autonomous:

@@ -185,7 +185,7 @@ class EventStrobe(ReturnMap):
             by_tangent=by_tangent,
             left=jnp.asarray(n, jnp.int32),
             leaving=rate,
-            side=self._side(state, rate),
+            side=side_of_section(self.system, state, rate, self.step),
             steps=none,
             share=zero + 1.0,
             low=zero,
@@ -230,7 +230,9 @@ class EventStrobe(ReturnMap):
             by_tangent=tuple(jnp.where(arrived, x + dt, x) for x, dt in zip(search.by_tangent, later, strict=True)),
             left=jnp.where(arrived & finite, search.left - 1, search.left),
             leaving=jnp.where(arrived, rate, search.leaving),
-            side=jnp.where(arrived, self._side(after, rate), jnp.where(onwards, side, search.side)),
+            side=jnp.where(
+                arrived, side_of_section(self.system, after, rate, self.step), jnp.where(onwards, side, search.side)
+            ),
             steps=jnp.where(arrived, 0, jnp.where(onwards, search.steps + 1, search.steps)),
             share=jnp.where(moved, 1.0, jnp.where(seen, guess, better)),
             low=jnp.where(seen, low, bracket[0]),
@@ -255,12 +257,6 @@ class EventStrobe(ReturnMap):
         grown = ahead.volume * search.leaving / self.system.rate(ahead.state, p)
         return Pushforward(ahead.state, tuple(tangents), grown), tuple(later)
 
-    def _side(self, state: State, rate: Array) -> Array:
-        """The side that a motion leaves for, of the section or from beside it."""
-        height = self.system.height(state)
-        near = _ON_SECTION * (abs(self.system.value) + jnp.abs(rate) * self.step)
-        return jnp.sign(jnp.where(jnp.abs(height) < near, rate, height))
-
     def _arrived(self, start: Crossing, ended: _Search, state: State) -> Crossing:
         """The crossing, or a lane that has failed and says why."""
         crossed = ended.left <= 0
@@ -268,6 +264,18 @@ class EventStrobe(ReturnMap):
         reason = jnp.where(crossed, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
         state = masked(state, crossed)
         return Crossing(state, jnp.where(crossed, ended.t, jnp.nan), reason)
+
+
+def side_of_section(section: Section, state: State, rate: Array, step: ArrayLike) -> Array:
+    """The side that a motion leaves for, of the section or from beside it.
+
+    Args:
+        rate: of the height.
+        step: length of a step.
+    """
+    height = section.height(state)
+    near = _ON_SECTION * (abs(section.value) + jnp.abs(rate) * step)
+    return jnp.sign(jnp.where(jnp.abs(height) < near, rate, height))
 
 
 def _state_of(carried: Carried) -> State:

@@ -130,10 +130,21 @@ class JumpingStrobe(ReturnMap):
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
         return Pushforward(ended.state, pushed, jnp.exp(ended.log_volume) if volume else jnp.ones_like(zero))
 
+    def end_of(self, step: Array) -> Array:
+        """Time at the end of a step."""
+        return jnp.asarray(self.grid)[step + 1]
+
+    def lane(self, p: Parameters, by_p: list[Any], *, volume: bool) -> _Lane:
+        """The steps of one lane.
+
+        Args:
+            by_p: of each tangent its derivative in the parameters, or None.
+        """
+        return _Lane(self, EventPassage(self.system, own_parameters(self.system, p), by_p, volume=volume))
+
     def _marched(self, begun: Moving, p: Parameters, by_p: list[Any]) -> Moving:
         """All steps."""
-        own, volume = own_parameters(self.system, p), begun.log_volume is not None
-        lane = _Lane(self, EventPassage(self.system, own, by_p, volume=volume))
+        lane = self.lane(p, by_p, volume=begun.log_volume is not None)
         first = as_batched(lane.begin(begun, jnp.asarray(self.grid)), begun.state.y[0])
         ended = lax.while_loop(lane.unfinished, lane.trial, first)
         stuck = ended.events > lane.most_events
@@ -225,10 +236,13 @@ class _Lane:
             lost=lost,
         )
 
+    def field(self, march: _March) -> PiecewisePoint:
+        """Time derivative of a lane's state by the branch of the field that it is in."""
+        return self._system.branch(march.t, march.moving.state, self._passage.own, march.side)
+
     def trial(self, march: _March) -> _March:
         """Take one step: a whole one, one that locates a passage within it, or the one that ends there."""
-        grid = jnp.asarray(self.strobe.grid)
-        seeking, end = march.shots == 0, grid[march.step + 1]
+        seeking, end = march.shots == 0, self.strobe.end_of(march.step)
         stretch = jnp.where(seeking, end - march.t, march.stretch)
         share = jnp.where(seeking, 1.0, march.share)
         h = share * stretch

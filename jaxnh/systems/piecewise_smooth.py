@@ -90,9 +90,13 @@ class PiecewiseSmooth(FirstOrder):
 
         Where the surface or a wall holds it, along that.
         """
+        return self.branch(t, y, p, self.sides(t, y, p))
+
+    def sides(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
+        """The side of each wall and surface that a state is on: +1 above it and on it, −1 below, 0 held there."""
         heights = self.heights(t, y, p) if self.switches or self.loses_rank else ()
         sides = tuple(jnp.where(height >= 0.0, 1.0, -1.0) for height in heights)
-        return self.branch(t, y, p, self.held_sides(t, y, p, sides) if self.loses_rank else sides)
+        return self.held_sides(t, y, p, sides) if self.loses_rank else sides
 
     def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """Time derivative of a state by a branch of the field, wherever the state is.

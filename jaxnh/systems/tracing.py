@@ -53,15 +53,19 @@ class Program:
         unread: slots of numbers of an outer program that the function closes over, with their values.
     """
 
-    def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
+    def __init__(
+        self, function: Callable[..., Any], *arguments: Any, written_out: Callable[[Any], bool] = lambda _: False
+    ) -> None:
         """Trace it.
 
         Args:
             function: of pytrees.
             arguments: pytrees of numbers or arrays; their shapes are read, and all are taken in double precision.
+            written_out: whether an equation that defines its own derivative is written out like other calls.
         """
         closed, out = jax.make_jaxpr(function, return_shape=True)(*(_abstract(a) for a in arguments))
         self._program, self._constants = closed.jaxpr, closed.consts
+        self._written_out = written_out
         self.steps: list[Step] = []
         self.size = 0
         self.inputs = [self._slot() for _ in closed.jaxpr.invars]
@@ -111,13 +115,14 @@ class Program:
         """Solve the equations that are wanted, in order, reading known values of slots and adding results to them.
 
         Args:
-            instead: functions in place of primitives.
+            instead: functions in place of primitives, or of the equations that make slots.
         """
         for step in filter(wanted, self.steps):
             values = [slot.value if isinstance(slot, KnownValue) else slot_values[slot] for slot in step.reads]
             primitive = step.equation.primitive
-            if instead and primitive in instead:
-                results = [instead[primitive](*values)]
+            replacement = instead.get(step.makes[0], instead.get(primitive)) if instead else None
+            if replacement is not None:
+                results = [replacement(*values)]
             elif primitive.name.startswith("custom_"):  # its parameters are not those that it is bound with
                 results = _alone(step.equation, self._program)(*values)
             else:
@@ -156,7 +161,7 @@ class Program:
 
         for equation in jaxpr.eqns:
             reads = tuple(read(atom) for atom in equation.invars)
-            if equation.primitive.name in _INLINED:
+            if equation.primitive.name in _INLINED or self._written_out(equation):
                 inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
                 made: Sequence[Slot | KnownValue] = self._inline(inner.jaxpr, inner.consts, reads)
             else:

@@ -31,6 +31,7 @@ units={"x": "m"}. Whatever is wrong with the file is said in one line with its p
 from __future__ import annotations
 
 import difflib
+import functools
 import hashlib
 import inspect
 import math
@@ -46,6 +47,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxnh.exceptions import InputError, UserFileError
+from jaxnh.systems.corners import with_switches
 from jaxnh.systems.discrete_map import DiscreteMap, discrete_map
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
@@ -64,6 +66,7 @@ from jaxnh.systems.user_functions import (
     line_of_code,
     pointwise,
     takes,
+    with_lists_of_names,
 )
 from jaxnh.systems.user_names import check_names, fault_of_count, state_sizes, states_in
 from jaxnh.systems.user_text import Names, read_text
@@ -73,7 +76,6 @@ _OF_ALL = ("coordinates", "angles", "labels", "units")
 _FIRST_ORDER = ("rhs", "jumps", "switches", *_CLOCKS, *_OF_ALL)
 _MECHANICS = ("T", "Q", "f", "ignorable", "integrals", *QUASI_KEYS, *_CLOCKS, *_OF_ALL)
 _MAP = ("map", *_OF_ALL)
-_LISTS_OF_NAMES = ("coordinates", "angles", "ignorable", "quasi_velocities", "dependent")
 _OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a number a coordinate, or a constraint
 _ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "rates": "(q, u, t)", **dict.fromkeys("TQf", "(q, v, t)")}  # of functions
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
@@ -127,7 +129,6 @@ class UserFile:
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.states, self.integrals = states_in(definition), tuple(definition.get("integrals", ()))
         self.discrete, self.mechanical = "map" in definition, "T" in definition
-        self._eventful = any(definition.get(kind) for kind in EVENTS)
         if self.mechanical:
             uses_time = self._try_mechanics(definition)
         else:
@@ -170,7 +171,7 @@ class UserFile:
                 "system must return dict(rhs=..., coordinates=...), or dict(T=..., Q=..., ...), or dict(map=..., ...)"
             )
             raise self._fault(line, message)
-        definition = _with_lists_of_names(said)
+        definition = with_lists_of_names(said)
         main, known = next(((key, keys) for key, keys in _OWN_KEYS.items() if key in definition), ("T", _MECHANICS))
         for name in definition:
             if name not in known:
@@ -221,15 +222,22 @@ class UserFile:
             UserFileError: the equations are other ones a period later.
         """
         self._check_period(parameters)
-        of_points = piecewise_smooth if self._eventful else first_order
+        define = self.define if self.mechanical or self.discrete else self._with_switches
+        eventful = any(define(**parameters).get(kind) for kind in EVENTS)
+        of_points = piecewise_smooth if eventful else first_order
         made = lagrangian if self.mechanical else discrete_map if self.discrete else of_points
         try:
-            flow = made(self.define, parameters, of_lanes)
+            flow = made(define, parameters, of_lanes)
         except UserFileError:
             raise
         except InputError as error:
             raise self._fault(self._line_of("rates"), str(error)) from None
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
+
+    @functools.cached_property
+    def _with_switches(self) -> Callable[..., Mapping[str, Any]]:
+        """Its definition, of a right-hand side with switches for its corners and jumps."""
+        return self._guarded(lambda: with_switches(self.define, self.parameters))
 
     def _check_period(self, parameters: Mapping[str, float]) -> None:
         """Hold the equations against themselves a period later, at random states and times."""
@@ -386,9 +394,3 @@ def _unknown(name: str, main: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1)
     meant = f" (did you mean {close[0]}?)" if close else ""
     return f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"
-
-
-def _with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:
-    """A definition with one name as a tuple of it."""
-    names = {key: (definition[key],) for key in _LISTS_OF_NAMES if isinstance(definition.get(key), str)}
-    return {**definition, **names}

@@ -17,6 +17,9 @@ from jaxnh.systems.piecewise_smooth import DIRECTIONS
 FUNCTIONS = ("map", "rhs", "rates", "T", "Q", "f")
 """Keys of a definition whose values are functions."""
 
+LISTS_OF_NAMES = ("coordinates", "angles", "ignorable", "quasi_velocities", "dependent")
+"""Keys of a definition whose values are names; one alone needs no tuple."""
+
 EVENTS = {"jumps": ("when", "direction", "then"), "switches": ("on",)}
 """Keys of a definition whose values are lists of mappings, and the keys of these."""
 
@@ -141,3 +144,9 @@ def pointwise(function: Callable[..., Any]) -> Callable[..., Any]:
         return jax.tree.map(lambda leaf: leaf.reshape(shape), result)
 
     return pointwise
+
+
+def with_lists_of_names(definition: Mapping[str, Any]) -> dict[str, Any]:
+    """The definition with one name as a tuple of it."""
+    names = {key: (definition[key],) for key in LISTS_OF_NAMES if isinstance(definition.get(key), str)}
+    return {**definition, **names}

@@ -105,10 +105,9 @@ def test_a_wall_alone_has_the_clock(tmp_path):
         jaxnh.load(write(tmp_path, text.replace(', "period": 2 * jnp.pi / w', "")))
 
 
-AUTONOMOUS = FILE.replace("jnp.cos(w * t)", "1.0").replace(', "period": 2 * jnp.pi / w', "")
 CONFIG_FAULTS = {
-    "a section": (AUTONOMOUS, ("accuracy", "section: {coordinate: x}\naccuracy"), "4: section: a system with jumps or switches is looked at once a unit of time"),
     "a solver": (FILE, ("tsit5", "nystrom8"), "4: accuracy.solver: nystrom8 has no steps that end at jumps or switches; tsit5,"),
+    "steps of a lane's own": (FILE, ("{solver: tsit5, steps: 40}", "{solver: rodas5p}"), "4: accuracy.solver: rodas5p has no steps that end at jumps or switches; tsit5,"),
     "precision": (FILE, ("lyapunov: {transient: 4, periods: 16}", "doubling: {}"), None),
 }  # fmt: skip
 
@@ -136,5 +135,4 @@ def test_from_python():
 
     session = jaxnh.Session(oscillator, start={"x": 1.0}, target=1e-8)
     assert session.experiment.flow().jumps == ("down",)
-    with pytest.raises(ConfigError, match="section: a system with jumps or switches is looked at once a unit of time"):
-        session.on(coordinate="v")
+    assert session.on(coordinate="v").experiment.sectioned

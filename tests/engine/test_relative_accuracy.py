@@ -230,12 +230,12 @@ def test_no_kink_where_the_field_overflows():
 CONFIG = short_portrait(1.0, 1.0, 1e-9)
 FAULTS = {
     "a jump": (
-        "y[1], -y[0] - 0.3 * jnp.sign(y[1]) + 2 * jnp.cos(t)",
+        "y[1], -y[0] - 0.3 * jnp.floor(y[1]) + 2 * jnp.cos(t)",
         "coordinates=('x', 'v'), period=2 * jnp.pi",
         "the right-hand side jumps at t = ",
     ),
     "a corner": (
-        "y[1], -y[0] - 0.3 * jnp.abs(y[0]) - 0.1 * y[1] + 2 * jnp.cos(t)",
+        "y[1], -y[0] - 0.3 * jnp.max(jnp.stack((y[0], -y[0]))) - 0.1 * y[1] + 2 * jnp.cos(t)",
         "coordinates=('x', 'v'), period=2 * jnp.pi",
         "the right-hand side has a corner at t = ",
     ),
@@ -264,6 +264,8 @@ def test_words_are_of_the_fault(tmp_path, rates, more, words):
     assert len(run.stderr.splitlines()) == 1
     assert words in run.stderr
     assert sum(other in run.stderr for *_, other in FAULTS.values()) == 1
+    for name in ("floor", "max"):
+        assert (f"steps cannot end where {name} changes" in run.stderr) == (f"jnp.{name}(" in rates)
 
 
 def test_the_file_says_what_errors_are_relative_to(tmp_path):

@@ -3,7 +3,8 @@
 In its frame ξ' = (μ − ν − ξ²) ξ and η' = −η. A period's map has the
 fixed point 0 with multipliers −exp(2π(μ − ν)) and −exp(−2π), which doubles at μ = ν; beyond, ξ = ±√(μ − ν) is an orbit of
 period 2 with exponents −2(μ − ν) and −1. In space it is the same about the circle r = 1. In its frame the half turn is a
-jump (ξ, η) → −(ξ, η) a period, which may come at any ξ², as the motion between does not change with it.
+jump (ξ, η) → −(ξ, η) a period, which may come at any ξ², as the motion between does not change with it. Its clock may be
+a coordinate that another jump sets back.
 """
 
 from __future__ import annotations
@@ -59,6 +60,27 @@ def system(mu=0.1, nu=0.0):
 
     jumps = [{"when": wall, "direction": "up", "then": turn}]
     return {"rhs": rhs, "coordinates": ("u", "v"), "period": 2 * jnp.pi, "jumps": jumps}
+"""
+
+MOEBIUS_WITH_JUMPS_IN_TIME = """\
+import jax.numpy as jnp
+
+def system(mu=0.1, nu=0.0):
+    def rhs(y, t):
+        u, v, clock = y
+        return (mu - nu - u**2) * u, -v, 1.0
+
+    def wall(y, t):
+        return y[2] - 1.0 - 0.3 * y[0] ** 2
+
+    def turn(y, t):
+        return -y[0], -y[1], y[2]
+
+    def again(y, t):
+        return y[0], y[1], y[2] - 2 * jnp.pi
+
+    jumps = [{"when": wall, "then": turn}, {"when": lambda y, t: y[2] - 6.0, "then": again}]
+    return {"rhs": rhs, "coordinates": ("u", "v", "clock"), "time_unit": 2 * jnp.pi, "jumps": jumps}
 """
 
 

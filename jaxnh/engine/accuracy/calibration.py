@@ -24,6 +24,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
@@ -130,7 +131,9 @@ class Calibration:
         Returns:
             Whether it helps: not where that is tried already, or is for no flow of this kind.
         """
-        if maps.adaptive or maps.scheme.smooth or self._precision != "float64":
+        flow = maps.flows[0].flow
+        jumps = isinstance(flow, PiecewiseSmooth) and flow.jumps  # of the state, which those steps know nothing of
+        if maps.adaptive or maps.scheme.smooth or jumps or self._precision != "float64":
             return False
         maps.tell("steps that all lanes share do not do; each lane takes steps of its own")
         try:
@@ -143,7 +146,7 @@ class Calibration:
         """Return whether the field jumps on a sample's motion: the map's tangents know nothing of a jump."""
         if self._maps.adaptive or self._maps.scheme.smooth:
             return False
-        return order_on_motion(self._maps, self._samples.take_lanes(np.array([sample]))) <= 1
+        return order_on_motion(self._maps, self._samples.take_lanes(np.array([sample])), located=False) <= 1
 
     def error(self, solver: Solver, steps: int, *, compensated: bool = False) -> float:
         """Error estimate of one period with so many steps; infinite where a state is not finite."""

@@ -85,13 +85,14 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
     return _explain_rates(maps, flow, times, passed, p)
 
 
-def order_on_motion(maps: SampleMaps, sample: Samples) -> float:
+def order_on_motion(maps: SampleMaps, sample: Samples, *, located: bool = True) -> float:
     """Power of the steps with which the errors of any method fall on a sample's motion; infinite where it is smooth.
 
     Args:
         sample: of one state.
+        located: whether steps end at switches.
     """
-    kink = find_kink(*_motion_of(maps, sample))
+    kink = find_kink(*_motion_of(maps, sample), located=located)
     return kink.order if kink else math.inf
 
 

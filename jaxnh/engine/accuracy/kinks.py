@@ -15,7 +15,9 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from jaxnh.config.messages import join_words
 from jaxnh.engine.accuracy.sample_maps import image_of
+from jaxnh.systems.corners import names_without_surface
 from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
@@ -40,13 +42,16 @@ class Kink(NamedTuple):
     description: str
 
 
-def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p: Parameters) -> Kink | None:
-    """Find a jump or a corner of a field on a motion; None where none is seen, or they are met by steps that end there.
+def find_kink(
+    flow: Flow, times: Float[np.ndarray, " points"], passed: State, p: Parameters, *, located: bool = True
+) -> Kink | None:
+    """Find a jump or a corner of a field on a motion; None where none is seen, or the state itself jumps.
 
     Args:
         times, passed: of states of the motion, one after the other.
+        located: whether switches are left out, as by steps that end there.
     """
-    if isinstance(flow, PiecewiseSmooth):
+    if isinstance(flow, PiecewiseSmooth) and flow.jumps:
         return None
     finite = np.all(np.isfinite(image_of(passed)), axis=0)
     points = len(times) if np.all(finite) else int(np.argmin(finite))
@@ -63,6 +68,8 @@ def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p:
 
         def at(s: Array) -> Float[Array, " d"]:
             y = jax.tree.map(lambda a, b: a + s * (b - a), y0, y1)
+            if isinstance(flow, PiecewiseSmooth) and located:
+                return ravel_pytree(flow.branch(t0 + s * (t1 - t0), y, p, flow.sides(t0, y0, p)))[0]
             return ravel_pytree(flow.rhs(t0 + s * (t1 - t0), y, p))[0]
 
         return jnp.stack(jax.jvp(at, (share,), (jnp.ones_like(share),)))
@@ -86,7 +93,9 @@ def find_kink(flow: Flow, times: Float[np.ndarray, " points"], passed: State, p:
                 if isinstance(flow, FirstOrder)
                 else "make it smooth there"
             )
-            return Kink(order + 1, f"the right-hand side {words} {where}: {remedy}, or ask for less")
+            names = names_without_surface(flow.rhs, 0.0, jax.tree.map(lambda leaf: leaf[0], begin), dict(p))
+            without = f"steps cannot end where {join_words(names)} changes; " if names else ""
+            return Kink(order + 1, f"the right-hand side {words} {where}: {without}{remedy}, or ask for less")
     return None
 
 

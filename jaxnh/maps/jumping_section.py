@@ -1,0 +1,209 @@
+"""The map from crossing to crossing of a section, of flows whose state jumps or whose field changes.
+
+The section is one more surface that steps end on (`jumping`), at which nothing changes. So crossings lie between
+events, and a jump that carries a motion over the section is none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from jaxnh.maps.batching import as_batched
+from jaxnh.maps.crossings import side_of_section
+from jaxnh.maps.general_flow import Moving, lanes_per_tile, own_parameters, stages_in_loop
+from jaxnh.maps.jumping import JumpingStrobe
+from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
+from jaxnh.maps.section import Crossing, Section
+from jaxnh.solvers import WrittenOutRungeKutta
+from jaxnh.systems.flow import CHATTERING, NO_RETURN, NOT_FINITE, Parameters
+from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
+from jaxnh.systems.sliding import HeldMotion
+from jaxnh.systems.state import Number
+
+
+class _WithSection(PiecewiseSmooth):
+    """A flow with one more switch, on its section, which its field does not read.
+
+    Attributes:
+        as_it_is: the flow without that.
+        section: its section.
+    """
+
+    as_it_is: PiecewiseSmooth
+    section: Section
+
+    def heights(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
+        """Heights of the flow, then that above the section."""
+        return *self.as_it_is.heights(t, y, p), self.section.height(y)
+
+    def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+        """Time derivative of a state by a branch of the field of the flow."""
+        return self.as_it_is.branch(t, y, p, sides[:-1])
+
+    @jax.jit
+    def held(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> HeldMotion:
+        """The motion on the wall or surface whose side is 0, which the section never is."""
+        return self.as_it_is.held(t, y, p, sides[:-1])
+
+
+class _EqualSteps(JumpingStrobe):
+    """Equal steps, as long as the first one on the grid, however many."""
+
+    def end_of(self, step: Array) -> Array:
+        """Time at the end of a step."""
+        return jnp.asarray(self.grid)[1] * (step + 1).astype(float)
+
+
+class _Approach(NamedTuple):
+    """On the way to a crossing.
+
+    Attributes:
+        march: since the crossing before.
+        t: time since the start at that crossing.
+        by_tangent: what each tangent changes in it.
+        left: crossings.
+        leaving: rate of the height at the crossing before.
+    """
+
+    march: Any
+    t: Array
+    by_tangent: tuple[Array, ...]
+    left: Array
+    leaving: Array
+
+
+class JumpingSection(ReturnMap):
+    """The map from crossing to crossing, in one loop over all trials of all steps.
+
+    Attributes:
+        system: the flow and its section.
+        solver: a Runge–Kutta method of the package.
+        step: length of a step.
+        most_steps: without a crossing in so many a lane has failed.
+    """
+
+    system: Section
+    solver: WrittenOutRungeKutta = eqx.field(static=True)
+    step: ArrayLike
+    most_steps: ArrayLike
+
+    @property
+    def most_lanes(self) -> int | None:
+        """Number of lanes whose stages fit in a core's nearest caches."""
+        return lanes_per_tile(8 * (self.solver.stages + 2) * len(self.system.flow.coordinates))
+
+    @property
+    def trip_counts(self) -> tuple[float, ...]:
+        """Trip counts of the loop over steps in a period of time, and of the loop over stages, where it is one."""
+        inner = (float(self.solver.stages),) if stages_in_loop(self.system.flow, self.solver, 0) else ()
+        return self.system.flow.period / float(np.mean(self.step)), *inner
+
+    def __call__(self, state: Crossing, p: Parameters) -> Crossing:
+        return self.iterate(1, state, p)
+
+    def iterate(self, n: ArrayLike, state: Crossing, p: Parameters) -> Crossing:
+        return self._arrived(state, self._searched(n, state, Moving(state.state), (), p, []))
+
+    def pushforward(
+        self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
+    ) -> Pushforward:
+        """Push tangents as every map does, then along the flow onto the section; the volume is a modulus."""
+        own, zero = own_parameters(self.system.flow, p), jnp.zeros_like(state.t)
+        by_p: list[Any] = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
+        begun = Moving(state.state, tuple(t.state.state for t in tangents), zero if volume else None)
+        ended = self._searched(1, state, begun, tuple(t.state.t for t in tangents), p, by_p)
+        moving = ended.march.moving
+        pushed = tuple(
+            Tangent(Crossing(dz, later, zero), t.p)
+            for dz, later, t in zip(moving.tangents, ended.by_tangent, tangents, strict=True)
+        )
+        grown = jnp.exp(moving.log_volume) if volume else zero + 1.0
+        return Pushforward(self._arrived(state, ended), pushed, grown)
+
+    def _searched(
+        self,
+        n: ArrayLike,
+        start: Crossing,
+        begun: Moving,
+        by_tangent: tuple[Array, ...],
+        p: Parameters,
+        by_p: list[Any],
+    ) -> _Approach:
+        """Steps until n crossings are met, or there is no hope of the next one."""
+        grid = jnp.stack([jnp.zeros_like(jnp.asarray(self.step)), jnp.asarray(self.step)])
+        lane = _EqualSteps(_with_section(self.system), self.solver, grid, self.most_steps).lane(
+            p, by_p, volume=begun.log_volume is not None
+        )
+        march = lane.begin(begun, grid)
+        side = side_of_section(self.system, start.state, march.rate[-1], self.step)
+        march = march._replace(side=(*march.side[:-1], side))
+        first = _Approach(march, start.t, by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])
+
+        def unfinished(search: _Approach) -> Array:
+            return (search.left > 0) & lane.unfinished(search.march)
+
+        def advance(search: _Approach) -> _Approach:
+            before, after = search.march, lane.trial(search.march)
+            met = (after.events > before.events) & (before.sought == len(before.side) - 1)
+            met &= after.side[-1] != before.side[-1]
+            if self.system.direction != "both":
+                met &= after.side[-1] > 0.0
+            met &= ~after.lost
+            moving, later = self._on_section(after.moving, lane.field(after), search.leaving, after.rate[-1])
+            again = after._replace(
+                moving=moving,
+                t=jnp.zeros_like(after.t),
+                step=jnp.zeros_like(after.step),
+                stretch=jnp.zeros_like(after.stretch) + grid[1],
+                events=jnp.zeros_like(after.events),
+            )
+            return _Approach(
+                jax.tree.map(lambda new, old: jnp.where(met, new, old), again, after),
+                jnp.where(met, search.t + after.t, search.t),
+                tuple(jnp.where(met, x + dt, x) for x, dt in zip(search.by_tangent, later, strict=True)),
+                jnp.where(met, search.left - 1, search.left),
+                jnp.where(met, after.rate[-1], search.leaving),
+            )
+
+        return lax.while_loop(unfinished, advance, as_batched(first, start.t))
+
+    def _on_section(
+        self, moving: Moving, field: PiecewisePoint, leaving: Array, rate: Array
+    ) -> tuple[Moving, tuple[Array, ...]]:
+        """Tangents moved along the flow onto the section, with the volume; and how much later each arrives."""
+        speed = self.system.across(field)
+        later = tuple(-self.system.across(dz) / speed for dz in moving.tangents)
+        tangents = tuple(
+            jax.tree.map(lambda x, f, dt=dt: x + f * dt, dz, field)
+            for dz, dt in zip(moving.tangents, later, strict=True)
+        )
+        grown = None if moving.log_volume is None else moving.log_volume + jnp.log(jnp.abs(leaving / rate))
+        return Moving(moving.state, tangents, grown), later
+
+    def _arrived(self, start: Crossing, ended: _Approach) -> Crossing:
+        """The crossing, or a lane that has failed and says why."""
+        march, crossed = ended.march, ended.left <= 0
+        unmet = jnp.where(march.step < self.most_steps, 1.0 * CHATTERING, 1.0 * NO_RETURN)
+        why = jnp.where(march.lost, 1.0 * NOT_FINITE, unmet)
+        why = jnp.where(march.moving.state.reason > 0.0, march.moving.state.reason, why)
+        reason = jnp.where(crossed, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
+        y = tuple(jnp.where(crossed, x, jnp.nan) for x in march.moving.state.y)
+        return Crossing(PiecewisePoint(y, reason), jnp.where(crossed, ended.t, jnp.nan), reason)
+
+
+def _with_section(section: Section) -> _WithSection:
+    """The flow of a section with the section among its surfaces."""
+    flow: Any = section.flow
+    parts = {field.name: getattr(flow, field.name) for field in dataclasses.fields(flow)}
+    return _WithSection(
+        **{**parts, "switches": flow.switches + 1, "holds": (*flow.holds, False)}, as_it_is=flow, section=section
+    )

@@ -1,0 +1,351 @@
+"""Corners and jumps that a right-hand side has by |x|, sign, max, min, clip or a comparison, as switches.
+
+Each of these equations has a surface on which its operands are equal, or its argument is zero. The right-hand side is
+written anew as a function of (y, t, side), in which they read the side of their surface, so that steps may end there
+(`maps.jumping`). It is left as it is where nothing depends on a side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core
+
+from jaxnh.systems.definition import Definition
+from jaxnh.systems.tracing import KnownValue, Program, Slot, Step
+from jaxnh.systems.user_functions import pointwise
+
+_COMPARISONS = {"gt": 1.0, "ge": 1.0, "lt": -1.0, "le": -1.0}  # the side on which each is true
+_OPERANDS = {"abs": ((0, None),), "sign": ((0, None),), "max": ((0, 1),), "min": ((0, 1),), "clamp": ((1, 0), (1, 2))}
+_OPERANDS |= dict.fromkeys(_COMPARISONS, ((0, 1),))
+_WITHOUT_SURFACE = ("floor", "ceil", "round", "rem", "argmax", "argmin", "sort", "reduce_max", "reduce_min")
+_CONTINUOUS = ("abs", "max", "min", "clamp", "reduce_max", "reduce_min", "sort")
+_LINEAR = ("add", "sub", "mul", "neg", "select_n", "convert_element_type", "broadcast_in_dim", "jit", "pjit")
+_MOST_SURFACES = 64  # each is looked at after every step
+_PROBES = 16  # random states, for each surface
+_NEWTON_STEPS = 40  # to a surface
+_BESIDE = 0.01  # so far from it branches are compared
+_ALIKE = 1e-9  # of their size: the difference of two branches that are one function
+
+Read = Slot | KnownValue
+
+
+class Surface(NamedTuple):
+    """Zeros of the difference of two values, or of an element of it; of one value alone where the other is None."""
+
+    above: Read
+    below: Read | None
+    element: int
+
+
+class PiecewiseField:
+    """A right-hand side as its equations, and the surfaces that its branches meet on.
+
+    Attributes:
+        surfaces: they.
+        attracts: along which of them motions may slide.
+    """
+
+    def __init__(self, define: Callable[..., Definition], parameters: Mapping[str, float]) -> None:
+        """Trace the right-hand side of a definition, all in double precision.
+
+        Args:
+            define: parameters to a definition with `rhs`.
+            parameters: their defaults, near which branches are compared.
+        """
+        y = (0.0,) * len(define(**parameters)["coordinates"])
+        self._program = program = Program(
+            lambda p, y, t: define(**p)["rhs"](y, t), dict(parameters), y, 0.0, written_out=_is_piecewise_linear
+        )
+        moving = [0] * len(parameters) + [1] * (len(y) + 1)
+        self._moves, self._fixed = program.depends(moving), self._constants()
+        self._needed = program.needed(program.outputs)
+        self.surfaces: list[Surface] = []
+        self._sides: dict[Slot, list[list[tuple[int, float]]]] = {}
+        self._numbers: dict[Any, int] = {}
+        self._place_all()
+        if len(self.surfaces) > _MOST_SURFACES:
+            self.surfaces, self._sides = [], {}
+        self.attracts = np.zeros(0, bool)
+        if self.surfaces:
+            part, attracts = self._probed(parameters)
+            self.attracts = attracts[part]
+            self._drop(~part)
+
+    def rates(self, p: Mapping[str, Any], y: tuple[Any, ...], t: Any, sides: tuple[Any, ...]) -> Any:
+        """Rates by one branch.
+
+        Args:
+            sides: +1 or −1 for each surface.
+        """
+        located = (step for step in self._program.steps if step.makes[0] in self._sides)
+        instead = {step.makes[0]: self._branch(step, sides) for step in located}
+        return self._program.results(self._values(p, y, t, self._needed, instead))
+
+    def height(self, number: int, p: Mapping[str, Any], y: tuple[Any, ...], t: Any) -> Any:
+        """Height of a state above a surface."""
+        above, below, element = self.surfaces[number]
+        values = self._values(p, y, t, self._program.needed([above, *([] if below is None else [below])]))
+        value = _value(above, values) if below is None else _value(above, values) - _value(below, values)
+        return jnp.ravel(value)[element] if jnp.ndim(value) else value
+
+    # ---- surfaces
+
+    def _place_all(self) -> None:
+        """Note the surfaces of all equations that change with the motion."""
+        leaping: set[Slot] = set()
+        for step in self._program.steps:
+            if self._needed.isdisjoint(step.makes) or not self._moves[step.makes[0]]:
+                continue
+            name = step.equation.primitive.name
+            leaps = any(slot in leaping for slot in step.reads if not isinstance(slot, KnownValue))
+            corner = name in _OPERANDS and _is_real(step.equation)
+            if corner and not leaps:  # surfaces of what jumps itself are left to the steps
+                self._place(step)
+            if leaps or ((corner or name in _WITHOUT_SURFACE) and name not in _CONTINUOUS):
+                leaping |= set(step.makes)
+
+    def _place(self, step: Step) -> None:
+        """Note the surfaces of an equation."""
+        count = int(np.prod(step.equation.outvars[0].aval.shape))
+        sides = list[list[tuple[int, float]]]()
+        for first, second in _OPERANDS[step.equation.primitive.name]:
+            above, below = step.reads[first], None if second is None else step.reads[second]
+            above, below, sign = self._ordered(above, below) if count == 1 else (above, below, 1.0)
+            surfaces = [Surface(above, below, element) for element in range(count)]
+            sides.append([(self._number(surface), sign) for surface in surfaces])
+        self._sides[step.makes[0]] = sides
+
+    def _ordered(self, above: Read, below: Read | None) -> tuple[Read, Read | None, float]:
+        """Operands of a difference or a sum in place of the result of it, in one order; and whether the sign stays."""
+        made_by = {step.makes[0]: step for step in self._program.steps}
+        step = None if isinstance(above, KnownValue) else made_by.get(above)
+        zero = below is None or self._constant(below) == 0.0
+        if zero and step and step.equation.primitive.name == "sub":
+            above, below, zero = *step.reads, False
+        elif zero and step and step.equation.primitive.name == "add":
+            for one, other in (step.reads, step.reads[::-1]):
+                if (value := self._constant(other)) is not None:
+                    above, below, zero = one, KnownValue(np.float64(-value)), False
+        inner = None if isinstance(above, KnownValue) else made_by.get(above)
+        value = 0.0 if zero or below is None else self._constant(below)
+        if inner and inner.equation.primitive.name == "neg" and value is not None:
+            return inner.reads[0], KnownValue(np.float64(-value)) if value else None, -1.0
+        if zero or below is None:
+            return above, None, 1.0
+        if self._key(above) > self._key(below):
+            return below, above, -1.0
+        return above, below, 1.0
+
+    def _number(self, surface: Surface) -> int:
+        """Number of a surface, a new one unless there is an equal one."""
+        key = self._key(surface.above), surface.below and self._key(surface.below), surface.element
+        if key not in self._numbers:
+            self._numbers[key] = len(self.surfaces)
+            self.surfaces.append(surface)
+        return self._numbers[key]
+
+    def _key(self, read: Read) -> tuple[int, float]:
+        """Slots by their number, numbers by their value, after all slots."""
+        value = self._constant(read)
+        return (0, float(read)) if value is None and not isinstance(read, KnownValue) else (1, float(value or 0.0))
+
+    def _constant(self, read: Read) -> float | None:
+        """Value of a number that depends on nothing; None of others, and of arrays."""
+        value = read.value if isinstance(read, KnownValue) else self._fixed.get(read)
+        return None if value is None or np.ndim(value) else float(value)
+
+    def _constants(self) -> dict[Slot, Any]:
+        """Values of slots that depend on no argument."""
+        depends, values = self._program.depends([1] * len(self._program.inputs)), dict[Slot, Any]()
+        with jax.ensure_compile_time_eval():
+            self._program.run(values, lambda step: not depends[step.makes[0]])
+        return values
+
+    def _probed(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Return which surfaces have a part in the field, and along which motions may slide, each (surfaces,).
+
+        The field is not one function on both sides of the first; it may push towards the others from both sides.
+        Random states and times go to each surface by Newton. A little beside it, on either side, the field is compared
+        with that of the other side. A surface that is touched alone, as r = 0, has none; one that is not reached, or
+        beside which nothing is finite, stays.
+        """
+        draws, each = np.random.default_rng(0), np.arange(len(self.surfaces))
+        shape = (_PROBES, len(each))
+        p = {
+            name: value + (0.1 * abs(value) + 0.1) * draws.uniform(-1.0, 1.0, shape)
+            for name, value in parameters.items()
+        }
+        z = draws.uniform(-2.0, 2.0, (len(self._program.inputs) - len(p), *shape))
+        heights, rates = jax.jit(self._heights_with_slopes), jax.jit(pointwise(self._rates_with_time))
+
+        def above(z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Heights (surfaces, probes, surfaces); that above the surface that is gone to, and its slopes."""
+            height, slopes = heights(p, tuple(z))
+            height, slopes = np.asarray(height), np.stack([np.asarray(slope)[each, :, each].T for slope in slopes])
+            return height, height[each, :, each].T, slopes
+
+        for _ in range(_NEWTON_STEPS):
+            _, height, slopes = above(z)
+            z = z - height * slopes / np.maximum(np.sum(slopes**2, axis=0), 1e-300)
+        _, height, slopes = above(z)
+        reached = np.abs(height) < _ALIKE
+        normal = _BESIDE * slopes / np.sqrt(np.maximum(np.sum(slopes**2, axis=0), 1e-300))
+
+        def branches(z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """The side of a surface that is gone to; the field of that side and of the other, (d, probes, surfaces)."""
+            own = np.where(above(z)[0] >= 0.0, 1.0, -1.0)
+            other = own * np.where(each[:, None] == each, -1.0, 1.0)[:, None, :]
+            one, two = (np.stack(np.broadcast_arrays(*rates(p, tuple(z), tuple(side)))) for side in (own, other))
+            return own[each, :, each].T, one, two
+
+        below, on, upon = (branches(z + shift * normal) for shift in (-1.0, 0.0, 1.0))
+        differs = _differ(*below[1:]) | _differ(*upon[1:])
+        part = np.any(reached & (below[0] != upon[0]) & differs, axis=0) | ~np.any(reached, axis=0)
+        gain = on[0] * np.sum(slopes[:-1] * (on[1] - on[2]), axis=0)  # of the height's rate, from below to above
+        size = np.sum(np.abs(slopes[:-1]) * np.maximum(np.abs(on[1]), np.abs(on[2])), axis=0)
+        attracts = np.any(reached & (gain < -_ALIKE * size), axis=0)
+        return part, attracts
+
+    def _heights_with_slopes(self, p: Mapping[str, Any], z: tuple[Any, ...]) -> tuple[Any, list[Any]]:
+        """Heights above all surfaces at (y, t) of any shape, and their derivatives in each of these numbers."""
+
+        @pointwise
+        def with_slopes(p: Any, z: Any) -> Any:
+            def of(*z: Any) -> list[Any]:
+                return [self.height(k, p, z[:-1], z[-1]) for k in range(len(self.surfaces))]
+
+            units = [[jnp.float64(i == j) for i in range(len(z))] for j in range(len(z))]
+            return of(*z), [jax.jvp(of, z, tuple(unit))[1] for unit in units]
+
+        height, slopes = with_slopes(p, z)
+        return jnp.stack(height), [jnp.stack(slope) for slope in slopes]
+
+    def _rates_with_time(self, p: Mapping[str, Any], z: tuple[Any, ...], sides: tuple[Any, ...]) -> list[Any]:
+        return list(self.rates(p, z[:-1], z[-1], sides))
+
+    def _drop(self, unused: np.ndarray) -> None:
+        """Leave surfaces out, and equations all of whose surfaces are left out as they are."""
+        kept = [k for k in range(len(self.surfaces)) if not unused[k]]
+        number = {k: i for i, k in enumerate(kept)}
+        self.surfaces = [self.surfaces[k] for k in kept]
+        self._sides = {
+            slot: [[(number.get(k, -1), sign) for k, sign in pair] for pair in sides]
+            for slot, sides in self._sides.items()
+            if any(k in number for pair in sides for k, _ in pair)
+        }
+
+    # ---- equations
+
+    def _values(
+        self,
+        p: Mapping[str, Any],
+        y: tuple[Any, ...],
+        t: Any,
+        needed: set[Slot],
+        instead: Mapping[Any, Callable[..., Any]] | None = None,
+    ) -> dict[Slot, Any]:
+        leaves = [jnp.asarray(leaf, jnp.float64) for leaf in jax.tree.leaves((dict(p), y, t))]
+        values = dict(zip(self._program.inputs, leaves, strict=True))
+        self._program.run(values, lambda step: not needed.isdisjoint(step.makes), instead)
+        return values
+
+    def _branch(self, step: Step, sides: tuple[Any, ...]) -> Callable[..., Any]:
+        """An equation that reads the sides of its surfaces; of a surface left out either side will do."""
+        name, shape = step.equation.primitive.name, step.equation.outvars[0].aval.shape
+
+        def side(pair: list[tuple[int, float]]) -> Any:
+            each = [sides[k] * sign if k >= 0 else jnp.ones(()) for k, sign in pair]
+            return jnp.stack(each).reshape(shape) if shape else each[0]
+
+        first, *second = map(side, self._sides[step.makes[0]])
+        if name in _COMPARISONS:
+            return lambda a, b: first * _COMPARISONS[name] > 0.0
+        return {
+            "abs": lambda x: first * x,
+            "sign": lambda x: first,
+            "max": lambda a, b: jnp.where(first > 0.0, a, b),
+            "min": lambda a, b: jnp.where(first > 0.0, b, a),
+            "clamp": lambda low, x, high: jnp.where(second[0] > 0.0, high, jnp.where(first > 0.0, x, low)),
+        }[name]
+
+
+def with_switches(define: Callable[..., Definition], parameters: Mapping[str, float]) -> Callable[..., Definition]:
+    """The definition of a right-hand side with switches for its corners and jumps; itself where there are none.
+
+    Nothing is looked for where the definition has `switches` of its own, be it none.
+
+    Args:
+        define: parameters to a definition with `rhs`, of (y, t) to d numbers.
+        parameters: their defaults.
+    """
+    if "switches" in define(**parameters):
+        return define
+    with jax.enable_x64(True):
+        field = PiecewiseField(define, parameters)
+    if not field.surfaces:
+        return define
+
+    def with_switches(**p: Any) -> Definition:
+        return {
+            **define(**p),
+            "rhs": pointwise(lambda y, t, side: field.rates(p, y, t, side)),
+            "switches": tuple(
+                {"on": pointwise(lambda y, t, k=k: field.height(k, p, y, t)), "sliding": bool(slides)}
+                for k, slides in enumerate(field.attracts)
+            ),
+        }
+
+    return with_switches
+
+
+def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return whether two fields (components, ...) differ, or none of them is finite."""
+    finite = np.isfinite(one) & np.isfinite(other)
+    size = np.max(np.where(finite, np.maximum(np.abs(one), np.abs(other)), 0.0), axis=0)
+    return np.any(np.where(finite, np.abs(one - other), np.inf) > _ALIKE * size, axis=0)
+
+
+def names_without_surface(function: Callable[..., Any], *arguments: Any) -> tuple[str, ...]:
+    """Names of the equations of a function that change without a surface which steps could end on, as floor does.
+
+    Args:
+        function, arguments: as of `Program`.
+    """
+    names = list[str]()
+    for step in Program(function, *arguments).steps:
+        custom = step.equation.primitive.name.startswith("custom_")
+        within = () if custom else tuple(_equations_within(step.equation))
+        names += [each.primitive.name for each in within if each.primitive.name in _OPERANDS and _is_real(each)]
+        names += [each.primitive.name for each in (step.equation, *within) if each.primitive.name in _WITHOUT_SURFACE]
+    return tuple(dict.fromkeys(name.removeprefix("reduce_") for name in names))
+
+
+def _value(read: Read, values: Mapping[Slot, Any]) -> Any:
+    return read.value if isinstance(read, KnownValue) else values[read]
+
+
+def _is_real(equation: Any) -> bool:
+    return all(jnp.issubdtype(atom.aval.dtype, jnp.floating) for atom in equation.invars)
+
+
+def _equations_within(equation: Any) -> Iterator[Any]:
+    """Equations of the programs that an equation calls, as of a loop."""
+    for value in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: isinstance(x, core.Jaxpr)):
+        inner = getattr(value, "jaxpr", value)
+        if isinstance(inner, core.Jaxpr):
+            for each in inner.eqns:
+                yield each
+                yield from _equations_within(each)
+
+
+def _is_piecewise_linear(equation: Any) -> bool:
+    """Return whether an equation that defines its own derivative is one of straight pieces, as `jax.nn.relu`."""
+    if not equation.primitive.name.startswith("custom_jvp"):
+        return False
+    names = {each.primitive.name for each in _equations_within(equation)}
+    return not names.isdisjoint(_OPERANDS) and names <= {*_OPERANDS, *_LINEAR}

@@ -1,0 +1,247 @@
+"""The systems of `configs/nonholonomic` against reduced equations written anew, and the exact statements on their motion.
+
+No parameter here is that of the config: all are drawn at random, so that a term that vanishes there does not here.
+"""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.systems.lagrangian import Motion
+from jaxnh.systems.user_file import UserFile
+from tests.helpers.commands import run_here
+from tests.helpers.paths import ROOT
+
+FOLDER = ROOT / "configs/nonholonomic"
+STATES = 40
+EXACT = 1e-12  # of accelerations near ten, from some hundred products
+ELSEWHERE = {"rattleback", "sleigh"}  # in test_quasi_velocities.py
+
+
+def numbers(seed, k):
+    return np.random.default_rng(seed).uniform(-1.5, 1.5, (k, STATES))
+
+
+# ---- reduced equations: states on the constraint, and the rates of all coordinates, then of all velocities there
+
+
+def oscillating_mass(t, p):
+    """Momenta along and about the blade, and the one across it that the blade balances: Ṗ = w R, K̇ = -u R."""
+    x, y, theta, u, w = numbers(1, 5)
+    m, a, inner, xi, omega = p["mass"], p["length"], p["inner"], p["ahead"], p["omega"]
+    eta = p["amplitude"] * np.sin(omega * t)
+    eta_dot, eta_ddot = p["amplitude"] * omega * np.cos(omega * t), -(omega**2) * eta
+    across = m * a * w + inner * (xi * w + eta_dot)
+    # P = (m + inner) u - inner eta w,  K = (I + m a² + inner (eta² + xi²)) w - inner eta u + inner xi eta_dot
+    matrix = np.empty((STATES, 2, 2))
+    matrix[:, 0, 0] = m + inner
+    matrix[:, 0, 1] = matrix[:, 1, 0] = -inner * eta
+    matrix[:, 1, 1] = p["inertia"] + m * a**2 + inner * (eta**2 + xi**2)
+    along = w * across + inner * eta_dot * w - p["damping"] * u
+    about = -u * across - inner * (2 * eta * eta_dot * w - eta_dot * u + xi * eta_ddot) - p["turn_damping"] * w
+    rates = np.linalg.solve(matrix, np.stack([along, about], axis=-1)[..., None])[..., 0].T
+    return (x, y, theta), (u, w), (u * np.cos(theta), u * np.sin(theta), w, *rates)
+
+
+def sleigh_in_a_valley(t, p):
+    x, y, theta, u, w = numbers(2, 5)
+    m, a, c, s = p["mass"], p["length"], np.cos(theta), np.sin(theta)
+    force = -p["stiffness"] * (x + a * c)
+    turn = (-m * a * u * w - a * force * s) / (p["inertia"] + m * a**2)
+    return (x, y, theta), (u, w), (u * c, u * s, w, a * w**2 + force * c / m, turn)
+
+
+def suslov(t, p):
+    """Euler's equations and Poisson's, the moment of the constraint on the third axis alone."""
+    g1, g2, g3, w1, w2 = numbers(3, 5)
+    g1, g2, g3 = np.array([g1, g2, g3]) / np.sqrt(g1**2 + g2**2 + g3**2)
+    third = p["i13"] * w1 + p["i23"] * w2
+    first = (-w2 * third + g2 * p["b3"] - g3 * p["b2"]) / p["i1"]
+    second = (w1 * third + g3 * p["b1"] - g1 * p["b3"]) / p["i2"]
+    return (g1, g2, g3), (w1, w2), (-g3 * w2, g3 * w1, g1 * w2 - g2 * w1, first, second)
+
+
+def appell_hamel(t, p):
+    """A speed s and a heading: (1 + 1/r²) s' = F·e ± F_z/r, s θ' = F·n, where z' = ± s/r."""
+    x, y, z, theta, s = numbers(4, 5)
+    s, up, r = 1.0 + 0.3 * s, np.where(z > 0, 1.0, -1.0), p["ratio"]
+    c, d = np.cos(theta), np.sin(theta)
+    vx, vy, vz = s * c, s * d, up * s / r
+    fx = -p["lattice"] * np.sin(x) - p["damping"] * vx + p["drive"] * np.sin(p["omega"] * t)
+    fy, fz = -p["skew"] * np.sin(y) - p["damping"] * vy, -p["gravity"] - p["damping"] * vz
+    faster, turn = (fx * c + fy * d + up * fz / r) / (1 + 1 / r**2), fy * c - fx * d
+    return (x, y, z), (vx, vy, vz), (vx, vy, vz, faster * c - turn * d, faster * d + turn * c, up * faster / r)
+
+
+def parallel_velocities(t, p):
+    """Two speeds and one heading: m s' = F·e of each point, (Σ m s²) θ' = Σ s F·n."""
+    q, (theta, s1, s2) = numbers(5, 4), numbers(6, 3)
+    s1 = np.copysign(0.5 + np.abs(s1), s1)
+    e, n = np.array([np.cos(theta), np.sin(theta)]), np.array([-np.sin(theta), np.cos(theta)])
+
+    def energy(q):  # the potential's, of whatever numbers
+        squares = p["k1"] * (q[0] ** 2 + q[2] ** 2) + p["k2"] * (q[1] ** 2 + q[3] ** 2)
+        apart = p["coupling"] * ((q[0] - q[2]) ** 2 + (q[1] - q[3]) ** 2)
+        return 0.5 * (squares + apart + p["cubic"] * ((q[0] * q[1]) ** 2 + (q[2] * q[3]) ** 2))
+
+    force = -gradient(energy, q)
+    m1, m2 = p["m1"], p["m2"]
+    along, side = ([(f * axis).sum(0) for f in (force[:2], force[2:])] for axis in (e, n))
+    turn = (s1 * side[0] + s2 * side[1]) / (m1 * s1**2 + m2 * s2**2)
+    v = *(s1 * e), *(s2 * e)
+    return tuple(q), v, (*v, *(along[0] / m1 * e + s1 * turn * n), *(along[1] / m2 * e + s2 * turn * n))
+
+
+def thermostat(t, p):
+    """Gauss's equations: v' = F - (F·v / v·v) v."""
+    q, v = numbers(7, 4), numbers(8, 4)
+    v *= np.sqrt(2 * p["kinetic"] / (v**2).sum(0))
+
+    def energy(q):  # products of cosines as sums
+        x, y, z, w = q
+        pair = p["lattice"] * (np.cos(x + y) + np.cos(x - y) + np.cos(z + w) + np.cos(z - w))
+        pull = p["coupling"] * (np.cos(x - z + y - w) + np.cos(x - z - y + w))
+        return 0.5 * pair - 0.5 * pull - p["slope"] * (x - z / 2)
+
+    force = -gradient(energy, q)
+    return tuple(q), tuple(v), (*v, *(force - (force * v).sum(0) / (v**2).sum(0) * v))
+
+
+def speed_in_space(t, p):
+    """A velocity s n with n' = (F - (F·n) n)/s; the friction drops out."""
+    q, n = numbers(9, 3), numbers(10, 3)
+    n /= np.sqrt((n**2).sum(0))
+    g, (x, y, z), a, b = 1 + np.sin(p["omega"] * t), q, p["a"], p["b"]
+    force = np.array([b * y - a * g * x - g * x**3, b * x - g * y - a * g * y**3, -a * g * z - g * z**3])
+    force[2] -= p["tie"] * y**2 * z
+    v = np.sqrt(p["c"]) * n
+    return tuple(q), tuple(v), (*v, *(force - (force * n).sum(0) * n))
+
+
+SYSTEMS = {
+    system.__name__: system
+    for system in (
+        oscillating_mass, sleigh_in_a_valley, suslov, appell_hamel, parallel_velocities, thermostat, speed_in_space,
+    )
+}  # fmt: skip
+
+
+def gradient(energy, q):
+    """By complex steps of 1e-40, exact to rounding; q (n, STATES)."""
+    steps = 1e-40j * np.eye(len(q))[:, :, None]
+    return np.stack([energy(q + step).imag / 1e-40 for step in steps])
+
+
+def test_every_system_is_tested():
+    assert {path.stem for path in FOLDER.glob("*.yaml")} == {*SYSTEMS} | ELSEWHERE
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_reduced_equations(name):
+    """Rates of the file at random states and times, its parameters changed by up to a third."""
+    file = UserFile(FOLDER / f"{name}.py")
+    drawn = np.random.default_rng(11).uniform(0.7, 1.3, len(file.parameters))
+    values = {key: float(value * by) or 0.3 for (key, value), by in zip(file.parameters.items(), drawn, strict=True)}
+    t, zero = np.linspace(0.0, 7.0, STATES), np.zeros(STATES)
+    q, v, exact = SYSTEMS[name](t, values)
+    flow = jaxnh.load(FOLDER / f"{name}.yaml").flow()
+    flow = getattr(flow, "flow", flow)  # without its section
+    lanes = {key: zero + value for key, value in values.items()}
+    rates = jax.jit(jax.vmap(flow.rhs))(t, Motion(q, v, (zero, zero)), lanes)
+    assert not np.isnan(rates.watch[1]).any()
+    assert np.abs(np.array([*rates.q, *rates.v]) - np.array(exact)).max() < EXACT
+
+
+# ---- their motion
+
+SMALL = {
+    "diagram": "{transient: 4, strobes: 8}",
+    "lyapunov": "{transient: 8, periods: 16, exponents: 1}",
+    "portrait": "{transient: 0, periods: 4, samples: 4}",
+}
+
+
+def small_run(name, folder):
+    """The result of a config at the ends of its sweep, few periods of it, by steps that are given."""
+    made = jaxnh.load(FOLDER / f"{name}.yaml")
+    (axis,) = made.axes
+    ends = f"sweep.{axis.name}={{values: [{axis.values[0]}, {axis.values[-1]}]}}"
+    analyses = [f"analyses.{analysis}={SMALL[analysis]}" for analysis in made.analyses]
+    output = folder / f"{name}.h5"
+    done = run_here(
+        f"configs/nonholonomic/{name}.yaml",
+        ends,
+        "accuracy={solver: verner9, steps: 100}",
+        *analyses,
+        "--output",
+        output,
+    )
+    assert done.returncode == 0, done.stderr
+    return jaxnh.open_result(output)
+
+
+def energy_in_a_valley(data):
+    """On x = 0, with the parameters of the file."""
+    along, turn, theta = data["along"], data["turn"], data["theta"]
+    return 0.5 * (along**2 + (0.5 * turn) ** 2 + 0.2 * turn**2) + 0.5 * (0.5 * np.cos(theta)) ** 2
+
+
+def energy_of_suslov(data):
+    return 0.5 * (2.0 * data["w1"] ** 2 + 3.0 * data["w2"] ** 2) + data["g3"]
+
+
+def energy_of_parallel_velocities(data):
+    x, y, z, w = (data[name] for name in ("x1", "y1", "x2", "y2"))
+    u, v, r, s = (data[f"{name}_dot"] for name in ("x1", "y1", "x2", "y2"))
+    springs = x**2 + z**2 + 1.7 * (y**2 + w**2) + (x * y) ** 2 + (z * w) ** 2 + 0.5 * ((x - z) ** 2 + (y - w) ** 2)
+    return 0.5 * (u**2 + v**2) + r**2 + s**2 + 0.5 * springs
+
+
+ENERGIES = {
+    "sleigh_in_a_valley": energy_in_a_valley,
+    "suslov": energy_of_suslov,
+    "parallel_velocities": energy_of_parallel_velocities,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted({*SYSTEMS} | ELSEWHERE))
+def test_config_in_small(name, tmp_path):
+    """No lane fails, none leaves its constraint by more than steps of order nine do, and energies stay."""
+    for group, node in small_run(name, tmp_path).children.items():
+        data = node.to_dataset()
+        assert np.all(data["status"] == 0), (name, group)
+        if "drift" in data:
+            assert float(data["drift"].max()) < 1e-8
+        if group in ("diagram", "portrait") and name in ENERGIES:
+            energy, level = ENERGIES[name](data), data["start_energy"]
+            assert float(np.abs(energy - level).max()) < 1e-8
+
+
+START = {
+    "x1": 0.5, "y1": 0.3, "x2": 2.0, "y2": -1.0,
+    "x1_dot": 1.0, "y1_dot": 0.4, "x2_dot": -0.8, "y2_dot": np.sqrt(0.2),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_exponents_of_the_thermostat_are_paired():
+    """But for the flow's own, they come in three pairs of one sum (Dettmann and Morriss 1996), a third of all.
+
+    The singular values of a tangent map are paired exactly over any time T; QR of it gives them up to factors that do
+    not grow, exponents to a few over T.
+    """
+    duration = 400
+    session = jaxnh.Session(UserFile(FOLDER / "thermostat.py").define, start=START, target=1e-8)
+    data = session.run(
+        jaxnh.Lyapunov(transient=50, periods=duration, exponents=7, method="averages"), slope=[0.5, 0.75]
+    )
+    assert np.abs(data["sum_rule_residual"].to_numpy()).max() < 1e-9
+    for exponents in data["exponents"].to_numpy():
+        others = np.delete(exponents, np.argmin(np.abs(exponents)))
+        sums = others + others[::-1]
+        assert sums.mean() < -0.05  # the field does work, which the thermostat takes out
+        assert np.abs(sums - sums.mean()).max() < 10 / duration

@@ -1,0 +1,143 @@
+"""Crossings of sections by flows with jumps and switches: against closed forms, scipy from event to event, identities."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnh.maps.build import make_return_map
+from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.protocol import Tangent
+from jaxnh.maps.section import Section, begin
+from jaxnh.solvers import dopri8, nystrom8, tsit5
+from jaxnh.systems.corners import with_switches
+from jaxnh.systems.first_order import first_order
+from jaxnh.systems.flow import CHATTERING, NO_RETURN
+from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from tests.flows.piecewise_circuits import CIRCUITS
+
+
+def circuit_on_section(name, value=0.05):
+    circuit = CIRCUITS[name]
+    flow = piecewise_smooth(with_switches(circuit.define, {"scale": 1.0}), {"scale": 1.0})
+    return Section(flow, "y", 1, value, "up")
+
+
+def start_of(section, *numbers):
+    state = section.flow.start(dict(zip(section.flow.coordinates, numbers, strict=True)))
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), begin(section, state))
+
+
+def crossings(section, solver, steps, start, count):
+    """Times, states and reasons of the first crossings."""
+    strobe = make_return_map(section, solver, steps)
+    each = jax.jit(lambda n, z: strobe.iterate(n, z, {}))
+    met = [each(n, start) for n in range(1, count + 1)]
+    return np.array([c.t for c in met]), np.array([c.state.y for c in met]), [float(c.reason) for c in met]
+
+
+@pytest.mark.parametrize(("name", "value"), [("chua", 0.05), ("colpitts", 0.6), ("sprott", 0.0)])
+def test_crossings_between_events(name, value):
+    """The first three, by DOP853 from event to event, whose error grows in this time by e³ or so."""
+    section, circuit = circuit_on_section(name, value), CIRCUITS[name]
+    times, states, _ = crossings(section, dopri8, 60, start_of(section, *circuit.start), 3)
+    known = circuit.follow(times[-1] + 0.1, value)[:3]
+    assert np.abs(times - [t for t, _ in known]).max() < 1e-9
+    assert np.abs(states - [y for _, y in known]).max() < 1e-9 * np.abs(states).max()
+
+
+def test_derivatives_on_a_section():
+    """By differences of the map, whose error is h²; the volume is the determinant in time shared among returns."""
+    section = circuit_on_section("chua")
+    strobe, names = make_return_map(section, dopri8, 60), ("scale",)
+    _, states, _ = crossings(section, dopri8, 60, start_of(section, *CIRCUITS["chua"].start), 2)
+    u, h = jnp.array([states[1][0], states[1][2]]), 1e-5
+    image = jax.jit(lambda u, scale: derivatives(strobe, 1, u, {"scale": scale}).image)
+    d = jax.jit(lambda u: derivatives(strobe, 1, u, {"scale": 1.0}, names))(u)
+    columns = [(np.array(image(u + h * e, 1.0)) - np.array(image(u - h * e, 1.0))) / (2 * h) for e in np.eye(2)]
+    assert np.abs(np.asarray(d.monodromy) - np.stack(columns, axis=1)).max() < 1e-7
+    assert np.abs(np.asarray(d.by_parameter)).max() < 1e-10  # a faster clock changes no crossing
+    state = section.chart.state(u)
+    tangents = tuple(Tangent(section.chart.lift(state, tuple(e))) for e in jnp.eye(2))
+    pushed = jax.jit(lambda z: strobe.pushforward(z, {"scale": 1.0}, tangents))(state)
+    assert float(pushed.volume) == pytest.approx(abs(np.linalg.det(d.monodromy)), rel=1e-8)
+
+
+def test_a_switch_that_changes_nothing():
+    """Crossings of Lorenz's flow are those of steps without events, to rounding, which grows by e^(0.9 t)."""
+
+    def lorenz(state):
+        x, y, z = state
+        return 10.0 * (y - x), x * (28.0 - z) - y, x * y - 8 / 3 * z
+
+    def smooth():
+        return {"rhs": lambda y, t: lorenz(y), "coordinates": ("x", "y", "z")}
+
+    def switched():
+        return {**smooth(), "rhs": lambda y, t, side: lorenz(y), "switches": ({"on": lambda y, t: y[0]},)}
+
+    start, found = (1.0, 1.0, 20.0), []
+    for flow in (first_order(smooth, {}), piecewise_smooth(switched, {})):
+        section = Section(flow, "z", 2, 27.0, "up")
+        found.append(crossings(section, dopri8, 100, start_of(section, *start), 3))
+    assert np.abs(found[0][0] - found[1][0]).max() < 1e-11
+    assert np.abs(found[0][1] - found[1][1]).max() < 1e-9
+
+
+def sawtooth():
+    """x rises from −1 to 1 at speed 1, and jumps back."""
+    return {
+        "rhs": lambda y, t: (1.0 + 0.0 * y[0], -y[1]),
+        "coordinates": ("x", "y"),
+        "jumps": (
+            {"when": lambda y, t: y[0] - 1.0, "direction": "up", "then": lambda y, t: (-1.0 + 0.0 * y[0], y[1])},
+        ),
+    }
+
+
+@pytest.mark.parametrize("steps", [1, 3, 20])
+@pytest.mark.parametrize("direction", ["up", "both", "down"])
+def test_a_jump_over_a_section_is_no_crossing(direction, steps):
+    """x = 0.3 is passed upward at 0.3, 2.3, 4.3 and leapt over downward between, in whatever steps."""
+    section = Section(piecewise_smooth(sawtooth, {}), "x", 0, 0.3, direction, longest=20.0)
+    times, states, reasons = crossings(section, tsit5, steps, start_of(section, 0.0, 1.0), 3)
+    if direction == "down":
+        assert reasons == [NO_RETURN] * 3
+        assert np.isnan(times).all()
+    else:
+        assert np.abs(times - [0.3, 2.3, 4.3]).max() < 1e-13
+        assert np.abs(states[:, 0] - 0.3).max() < 1e-13
+
+
+def ball(r=0.9):
+    """A ball that falls on a table."""
+    return {
+        "rhs": lambda y, t: (y[1], -1.0 + 0.0 * y[0]),
+        "coordinates": ("h", "v"),
+        "jumps": ({"when": lambda y, t: y[0], "direction": "down", "then": lambda y, t: (y[0], -r * y[1])},),
+    }
+
+
+def test_a_crossing_and_a_bounce_in_one_step():
+    """h = 0.02 is passed up 0.02 s after each impact or so, while steps are 1 long; exactly, for parabolas."""
+    section = Section(piecewise_smooth(ball, {"r": 0.9}), "h", 0, 0.02, "up")
+    times, states, _ = crossings(section, tsit5, 1, start_of(section, 1.0, 0.0), 4)
+    t, speed, known = np.sqrt(2.0), np.sqrt(2.0), []
+    for _ in range(4):
+        speed *= 0.9
+        known.append(t + speed - np.sqrt(speed**2 - 0.04))
+        t += 2.0 * speed
+    assert np.abs(times - known).max() < 1e-12
+    assert np.all(states[:, 1] > 0.0)
+
+
+def test_what_fails_on_the_way_to_a_section():
+    """A ball that comes to rest never meets the section, and one that still falls has not yet."""
+    section = Section(piecewise_smooth(ball, {"r": 0.5}), "v", 1, 5.0, "up", longest=50.0)
+    assert crossings(section, tsit5, 1, start_of(section, 1.0, 0.0), 1)[2] == [CHATTERING]
+    section = Section(piecewise_smooth(ball, {"r": 0.5}), "v", 1, 5.0, "up", longest=3.0)
+    assert crossings(section, tsit5, 1, start_of(section, 1e3, 0.0), 1)[2] == [NO_RETURN]
+    with pytest.raises(TypeError, match="Nystrom has no steps that end at jumps and switches"):
+        make_return_map(section, nystrom8, 10)
