@@ -22,11 +22,12 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.general_flow import Moving, linearise, own_parameters, restored, stack_leaves, time_split
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.solvers.adaptive import AdaptiveMethod
-from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.flow import NOT_FINITE, OUT_OF_STEPS, Flow, Parameters
 from jaxnh.systems.state import State, error_components, masked
 
-_MOST_TRIALS = 1 << 17  # steps that are tried in a map: a lane that needs more has failed
+_MOST_TRIALS = 1 << 17  # steps that are tried in a map: a lane that needs more has run out of them
 _SHORTEST = 1e-15  # of the length of time: what needs shorter steps goes to infinity, or its rates do
+_FIRST = 1e-12  # of the length of time: the first step is as long at least, and shortened where that is too long
 _SMALL = 1e-4  # of the largest coordinate: the size of one that is smaller, which may be the rounding of others
 _SAFETY, _SHRINK, _GROW = 0.9, 0.1, 6.0
 _LONGEST = 2.0  # times an equal step: at rest a state says nothing of the steps that its tangents need
@@ -59,8 +60,8 @@ class AdaptiveStrobe(ReturnMap):
     """P over a stretch of time.
 
     Errors of a step are relative to the largest modulus of each component in the stretch so far. A lane fails, its
-    state then not a number, where its motion is not finite, or needs more steps than there may be or shorter ones than
-    time can tell apart.
+    state then not a number, where its motion is not finite or needs shorter steps than time can tell apart
+    (`not_finite`), and where it needs more steps than there may be (`out_of_steps`).
 
     Attributes:
         system: the flow.
@@ -159,7 +160,8 @@ class AdaptiveStrobe(ReturnMap):
         if not reduction.leaves_constraints:
             end = self.begin + self.length
             moving = along_tangents(lambda z, own: restored(system, end, z, placed, {**p, **own}), moving)
-        arrived = masked(moving.state, ended.t >= self.length)
+        why = jnp.where(ended.trials < _MOST_TRIALS, NOT_FINITE, OUT_OF_STEPS)
+        arrived = masked(moving.state, ended.t >= self.length, why)
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(moving.tangents, tangents, strict=True))
         return Pushforward(arrived, pushed, jnp.exp(moving.log_volume) if volume else jnp.ones_like(first))
 
@@ -188,6 +190,8 @@ class AdaptiveStrobe(ReturnMap):
         floor = _SMALL * _largest(size)
         fastest = _largest([jnp.abs(v) / jnp.maximum(s, floor) for s, v in zip(size, rate, strict=True)])
         h = jnp.asarray(self.tolerance) ** (1.0 / self.solver.convergence_order) / fastest
+        # Of a velocity that begins at zero the size is not known yet, and what is taken for it may be far too small.
+        h = jnp.maximum(h, _FIRST * self.length)
         return lax.stop_gradient(jnp.where(h > 0.0, jnp.minimum(h, self.longest), self.longest))
 
 

@@ -17,6 +17,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from jaxnh.maps.adaptive import AdaptiveStrobe
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.section import Crossing, Section
@@ -262,7 +263,9 @@ class EventStrobe(ReturnMap):
         crossed = ended.left <= 0
         why = jnp.where(ended.lost, 1.0 * NOT_FINITE, 1.0 * NO_RETURN)
         reason = jnp.where(crossed, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
-        state = masked(state, crossed)
+        # Steps of a lane's own leave in its state why it was lost.
+        kept = crossed | ended.lost if isinstance(self.unit, AdaptiveStrobe) else crossed
+        state = masked(state, kept)
         return Crossing(state, jnp.where(crossed, ended.t, jnp.nan), reason)
 
 

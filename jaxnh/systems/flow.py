@@ -18,18 +18,29 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.state import Number, State, error_components
+from jaxnh.systems.state import Number, State, error_components, status_in_nan
 from jaxnh.systems.tracing import jacobian_trace
 
 Parameters = Mapping[str, ArrayLike]
 """Name to value, of the parameters that a lane has of its own; of lanes side by side each (lanes,)."""
 
 
-STATUS = ("ok", "singular", "off_constraint", "not_finite", "no_return", "escaped", "chattering", "codimension_two")
+STATUS = (
+    "ok",
+    "singular",
+    "off_constraint",
+    "not_finite",
+    "no_return",
+    "escaped",
+    "chattering",
+    "codimension_two",
+    "out_of_steps",
+)
 """Status of a lane, by number."""
 
 NOT_FINITE, NO_RETURN = STATUS.index("not_finite"), STATUS.index("no_return")
 CHATTERING, CODIMENSION_TWO = STATUS.index("chattering"), STATUS.index("codimension_two")
+OUT_OF_STEPS = STATUS.index("out_of_steps")
 
 
 UNSAID = ""
@@ -187,8 +198,11 @@ class Flow(eqx.Module):
 
     def reports(self, y: State) -> dict[str, Output]:
         """Return the `status` of each trajectory, from the last of its states (..., points)."""
-        finite = np.all([np.isfinite(leaf[..., -1]) for leaf in jax.tree.leaves(y)], axis=0)
-        return {"status": status(np.where(finite, 0, NOT_FINITE))}
+        last = [np.asarray(leaf)[..., -1] for leaf in jax.tree.leaves(y)]
+        finite = np.all(np.isfinite(last), axis=0)
+        reason = np.max([status_in_nan(x) for x in last], axis=0)
+        known = (reason > 0) & (reason < len(STATUS))
+        return {"status": status(np.where(finite, 0, np.where(known, reason, NOT_FINITE)))}
 
     def fault_at(self, t: ArrayLike, y: State, p: Parameters) -> str:
         """Describe why a state has no time derivative; "" where no reason is known."""

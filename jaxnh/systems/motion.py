@@ -32,9 +32,12 @@ def _(y: Motion) -> tuple[Vector, Vector]:
 
 
 @masked.register
-def _(y: Motion, kept: Number) -> Motion:
+def _(y: Motion, kept: Number, reason: Number | None = None) -> Motion:
     q, v = masked((y.q, y.v), kept)
-    return Motion(q, v, y.watch)
+    if reason is None:
+        return Motion(q, v, y.watch)
+    drift, before = y.watch
+    return Motion(q, v, (drift, jnp.where(kept | (before > 0.0), before, 1.0 * reason)))
 
 
 class ReducedMotion(NamedTuple):

@@ -7,6 +7,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jaxtyping import Array
 
 Number = Any
@@ -29,10 +31,34 @@ def error_components(y: State) -> State:
 
 
 @functools.singledispatch
-def masked(y: State, kept: Number) -> State:
-    """The state of a lane that is kept; of one that is not, not a number but for what it reports."""
+def masked(y: State, kept: Number, reason: Number | None = None) -> State:
+    """The state of a lane that is kept; of one that is not, not a number but for what it reports.
+
+    Args:
+        reason: status of a lane that is not kept, a whole number; one that a state has already stays.
+    """
 
     def component(x: Array) -> Array:
-        return jnp.where(kept, x, jnp.nan)
+        if reason is None:
+            return jnp.where(kept, x, jnp.nan)
+        return jnp.where(kept | jnp.isnan(x), x, _nan_with_status(reason).astype(x.dtype))
 
     return jax.tree.map(component, y)
+
+
+# A NaN has 51 bits that mean nothing, and neither a selection nor a copy changes them: with the status of a failed lane
+# there, states of every flow tell it, and no program has a number more. `tests/maps/test_adaptive.py` reads it back.
+_QUIET_NAN = 0x7FF8_0000_0000_0000
+_STATUS_BITS = 0xFF
+
+
+def _nan_with_status(code: Number) -> Array:
+    """Not a number, with a status in its lowest bits."""
+    bits = jnp.asarray(code).astype(jnp.int64) | jnp.int64(_QUIET_NAN)
+    return lax.bitcast_convert_type(bits, jnp.float64)
+
+
+def status_in_nan(x: np.ndarray) -> np.ndarray:
+    """Return the status that `masked` has left in numbers, zero where there is none; on the host."""
+    bits = np.ascontiguousarray(x, np.float64).view(np.int64) & _STATUS_BITS
+    return np.where(np.isnan(x), bits, 0)

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from jaxnh.maps import adaptive
 from jaxnh.maps.build import cut_strobe, make_parts, make_return_map, maps_between
 from jaxnh.maps.protocol import Tangent
-from jaxnh.maps.section import Section, begin
+from jaxnh.maps.section import Section, begin, reports
 from jaxnh.solvers import ADAPTIVE, SOLVERS
 from jaxnh.systems.first_order import first_order
-from jaxnh.systems.flow import NO_RETURN
+from jaxnh.systems.flow import NO_RETURN, NOT_FINITE, OUT_OF_STEPS
+from jaxnh.systems.lagrangian import lagrangian
 from tests.flows import calm_particle, linear_oscillator
 from tests.helpers.cases import some_slow
 
@@ -212,6 +214,54 @@ def test_lanes_have_steps_of_their_own_and_fail_alone():
     np.testing.assert_allclose(found[[0, 1, 3]], 1.0 / (1.0 - 2.0 * k[[0, 1, 3]]), rtol=1e-9)
     alone = [image(strobe, start_of(flow, 1.0), k=value) for value in k[[0, 1, 3]]]
     np.testing.assert_allclose(found[[0, 1, 3]], np.ravel(alone), rtol=1e-13)
+
+
+def status_of(flow, states):
+    """Status of lanes by their last states."""
+    return np.asarray(reports(flow, jax.tree.map(lambda x: np.asarray(x)[..., None], states))["status"].data).tolist()
+
+
+def test_a_lane_that_runs_out_of_steps_says_so(monkeypatch):
+    """Beside one that arrives and one that goes to infinity; states tell it after one more map as well."""
+    monkeypatch.setattr(adaptive, "_MOST_TRIALS", 2000)
+    flow = flow_of(lambda y, t, k, w: (k * y[0] ** 2, w * y[2], -w * y[1]), ("x", "u", "v"), unit=2.0, k=0.1, w=1.0)
+    strobe, k, w = make_return_map(flow, RODAS, 50), jnp.array([0.01, 0.01, 1.0]), jnp.array([1.0, 1e5, 1.0])
+    move = jax.jit(jax.vmap(lambda s, z, k, w: s(z, {"k": k, "w": w}), (None, 0, 0, 0)))
+    states = move(strobe, jax.tree.map(lambda x: jnp.full(3, x), start_of(flow, 1.0, 1.0, 0.0)), k, w)
+    assert status_of(flow, states) == [0, OUT_OF_STEPS, NOT_FINITE]
+    later = move(strobe, states, k, w)
+    assert status_of(flow, later) == [0, OUT_OF_STEPS, NOT_FINITE]
+    assert np.isnan(np.asarray(later.y)[:, 1:]).all()
+
+
+def test_a_mechanical_system_runs_out_of_steps(monkeypatch):
+    """An oscillator by T and Q from rest, whose states have a place of their own for the reason."""
+    monkeypatch.setattr(adaptive, "_MOST_TRIALS", 2000)
+
+    def define(w):
+        return {
+            "T": lambda q, v, t: 0.5 * v[0] ** 2, "Q": lambda q, v, t: (-(w**2) * q[0],), "coordinates": ("x",), "time_unit": 2.0
+        }  # fmt: skip
+
+    flow = lagrangian(define, {"w": 1.0})
+    start = jax.tree.map(lambda x: jnp.full(2, x), flow.start({"x": 1.0, "x_dot": 0.0}))
+    strobe, w = make_return_map(flow, RODAS, 50), jnp.array([1.0, 1e5])
+    states = jax.jit(jax.vmap(lambda s, z, w: s(z, {"w": w}), (None, 0, 0)))(strobe, start, w)
+    assert status_of(flow, states) == [0, OUT_OF_STEPS]
+
+
+def test_a_section_knows_of_lanes_without_steps(monkeypatch):
+    """Of two oscillators the second one turns thousands of times between two looks for its crossing."""
+    monkeypatch.setattr(adaptive, "_MOST_TRIALS", 2000)
+    flow = flow_of(lambda y, t, w: (w * y[1], -w * y[0]), ("x", "v"), unit=2.0, w=1.0)
+    section = Section(flow, "x", 0, 0.0, "up")
+    strobe, w = make_return_map(section, RODAS, 50), jnp.array([1.0, 1e6])
+    begun = jax.tree.map(lambda x: jnp.full(2, x), begin(section, start_of(flow, 1.0, 0.0)))
+    move = jax.jit(jax.vmap(lambda s, z, w: s(z, {"w": w}), (None, 0, 0)))
+    crossings = move(strobe, begun, w)
+    assert status_of(flow, crossings) == [0, OUT_OF_STEPS]
+    assert abs(float(crossings.t[0]) - 1.5 * np.pi) < 1e-8
+    assert status_of(flow, move(strobe, crossings, w)) == [0, OUT_OF_STEPS]
 
 
 def test_a_section_that_is_not_met_says_so():
