@@ -43,9 +43,7 @@ class Case(NamedTuple):
 
     Attributes:
         source: text of a user's file.
-        configs: texts of configs in the order in which they are tried until one is answered: with a verdict where
-            there is a section for it, the spectrum alone, and that of a short run; after one that did not end in its
-            time the last one follows.
+        configs: texts of configs: of the run, and where it does not end in its time of a short one.
         longer: that of the longer run, or "".
     """
 
@@ -66,11 +64,9 @@ def cases() -> dict[str, Case]:
 
 def _flow_case(flow: PublishedFlow) -> Case:
     begun, count = scene(flow) + _ACCURACY, len(flow.coordinates)
-    alone = [begun + _lyapunov(_TRANSIENT, periods, count) for periods in (_PERIODS, _SHORT)]
-    section = _section(flow)
-    whole = [section + alone[0] + "  verdict: {confirmation_factor: 0}\n"] if section else []
+    whole, short = (begun + _lyapunov(_TRANSIENT, periods, count) for periods in (_PERIODS, _SHORT))
     longer = begun + _lyapunov(_TRANSIENT + _PERIODS, _LONGER_BY * _PERIODS, count)
-    return Case(flow.source, (*whole, *alone), longer)
+    return Case(flow.source, (whole, short), longer)
 
 
 def _map_case(name: str, values: Mapping[str, float]) -> Case:
@@ -83,26 +79,18 @@ def _map_case(name: str, values: Mapping[str, float]) -> Case:
     sweep = ", ".join(f"{key}: {{values: [{value!r}]}}" for key, value in values.items())
     text = f"system: {{file: sys.py}}\n{initial[0]}\nsweep: {{{sweep}}}\n"
     count = names[1].count('"') // 2
-    return Case(source, (text + _lyapunov(_TRANSIENT, _ITERATES, count) + "  verdict: {confirmation_factor: 0}\n",))
+    return Case(source, (text + _lyapunov(_TRANSIENT, _ITERATES, count),))
 
 
 def _lyapunov(transient: int, periods: int, exponents: int) -> str:
     return f"analyses:\n  lyapunov: {{transient: {transient}, periods: {periods}, exponents: {exponents}}}\n"
 
 
-def _section(flow: PublishedFlow) -> str:
-    """The section of a verdict, as a line of a config: the first coordinate that is bounded and moves, at its mean."""
-    for i, name in enumerate(flow.coordinates):
-        if i not in flow.entry["unbounded_indices"] and flow.entry["std"][i] > 0.0:
-            return f"section: {{coordinate: {name}, value: {float(flow.entry['mean'][i])!r}, direction: up}}\n"
-    return ""
-
-
 # ---- runs
 
 
 def run_case(folder: Path, source: str, configs: Sequence[str], limit: float, *, again: bool = False) -> str:
-    """Run the configs of a case until one is answered, unless that has been done, and return its record in a line.
+    """Run the first config of a case that ends in its time, unless that has been done, and return its record in a line.
 
     A record is written whole or not at all, so that a case that was killed runs anew.
 
@@ -117,15 +105,13 @@ def run_case(folder: Path, source: str, configs: Sequence[str], limit: float, *,
         return "done before"
     path.unlink(missing_ok=True)
     (folder / RESULT).unlink(missing_ok=True)
-    left, tried = list(configs), []
-    while left:
-        answer = run(write_case(folder, source, left.pop(0)), folder / RESULT, FOLDER / "cache", limit)
+    tried = []
+    for config in configs:
+        answer = run(write_case(folder, source, config), folder / RESULT, FOLDER / "cache", limit)
         lines = answer.text.strip().splitlines() or [""]
         tried.append({"code": answer.code, "seconds": round(answer.seconds, 2), "message": lines[-1]})
-        if answer.code == 0:
+        if answer.code != TIMED_OUT:
             break
-        if answer.code == TIMED_OUT:
-            left = left[-1:]
     record = {"inputs": inputs, "measured_at": str(stamp()), "tried": tried}
     draft = path.with_suffix(".part")
     draft.write_text(json.dumps(record, indent=1), encoding="utf-8")

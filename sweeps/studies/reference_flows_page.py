@@ -23,9 +23,10 @@ authors wrote them and at their published values; maps are those of `configs/map
 
 - **Exponents** are in 1/time, those of maps in 1/iterate; what stands in brackets is the error at 95 %, in units of the
   last digits: 0.9056(22) is 0.9056 ± 0.0022. An exponent without brackets is known to be zero, as that along a flow.
-- **D** is the Kaplan–Yorke dimension, **verdict** the [kind of motion](results.md), – where there is no section for it.
-- **Sum** is how far the sum of the exponents is from the mean divergence, **met** the error of a unit of time or of a
-  return to the section that the steps had, relative to the size of the motion.
+- **D** is the Kaplan–Yorke dimension. **Motion** is what the exponents say by the rule of `verdict`, which for its other
+  criteria would need a section of each flow.
+- **Sum** is how far the sum of the exponents is from the mean divergence, **met** the error of a unit of time that the
+  steps had, relative to the size of the motion.
 - **dysts** is what that package says of λ1 and D, in bold where it lies outside of our bar. It has no bars of its own.
 
 {rows}
@@ -46,7 +47,7 @@ def page(data: xr.Dataset) -> str:
     """Return the page in Markdown."""
     answered = data["status"].to_numpy() == 0
     rows = [_row(data.isel(flow=i)) for i in np.flatnonzero(answered)]
-    heads = "name", "exponents", "D", "verdict", "sum", "met", "dysts λ1", "dysts D"
+    heads = "name", "exponents", "D", "motion", "sum", "met", "dysts λ1", "dysts D"
     words = np.array(RUNS)[data["status"].to_numpy()]
     refused = [
         (str(data["flow"].to_numpy()[i]), str(words[i]), str(data["message"].to_numpy()[i]).replace("|", "\\|"))
@@ -83,12 +84,12 @@ def _row(flow: xr.Dataset) -> tuple[str, ...]:
     exponents, error = flow["exponents"].to_numpy(), flow["exponents_error"].to_numpy()
     own = ~np.isnan(exponents)
     dimension = float(flow["kaplan_yorke"]), float(flow["kaplan_yorke_error"])
-    kind = str(jaxnh.labels(flow["verdict"]).item())
+    kind = str(jaxnh.labels(flow["motion"]).item())
     return (
         str(flow["flow"].item()),
         ", ".join(with_error(*pair) for pair in zip(exponents[own], error[own], strict=True)),
         with_error(*dimension),
-        "–" if kind == "none" else kind.replace("_", " "),
+        kind,
         f"{abs(float(flow['sum_rule_residual'])):.0e}",
         f"{float(flow['error_estimate']):.0e}" if np.isfinite(flow["error_estimate"]) else "–",
         _beside(float(flow["published_largest"]), exponents[0], error[0]),

@@ -14,7 +14,7 @@ import xarray as xr
 import jaxnh
 from jaxnh.analyses.base import flag, variable
 from jaxnh.analyses.exponents.lyapunov import SOURCES
-from jaxnh.analyses.verdict import KINDS
+from jaxnh.analyses.verdict import exceeds_shear, largest_across, nearly_zero
 from jaxnh.storage import hdf5
 from jaxnh.systems.flow import STATUS
 from sweeps.studies.dysts_flows import PublishedFlow, independent_spectra
@@ -27,6 +27,9 @@ TIMED_OUT = 124
 
 RUNS = (*STATUS, "refused", "crashed", "timed_out")
 """Meanings of the flags of `status`: those of lanes, and of runs without an answer."""
+
+MOTIONS = ("undecided", "chaotic", "regular", "equilibrium")
+"""Meanings of the flags of `motion`."""
 
 _REFUSED, _CRASHED, _LATE = (RUNS.index(word) for word in RUNS[-3:])
 _NONE = -1
@@ -98,36 +101,50 @@ def _row(folder: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"measured_at": record["measured_at"], "seconds": last["seconds"]}
     if last["code"]:
         why = {TIMED_OUT: _LATE, 2: _REFUSED}.get(last["code"], _CRASHED)
-        told = next((one["message"] for one in tried if one["code"] == 2), last["message"])
-        return row | {"status": why, "message": told}
-    return row | _spectrum(folder / RESULT) | _verdict(folder / RESULT)
+        return row | {"status": why, "message": last["message"]}
+    return row | _spectrum(folder / RESULT)
 
 
 def _spectrum(path: Path) -> dict[str, Any]:
     data, attrs = hdf5.read_group(path, "lyapunov").squeeze(), hdf5.read_attrs(path)
     exponents, error = (np.atleast_1d(data[name].to_numpy()) for name in ("exponents", "exponents_error"))
+    method, averaged = int(data["exponents_method"]), float(data["averaging_periods"])
+    unit = float(attrs.get("strobe_period", 1.0))
     return {
+        "motion": motion(exponents, error, SOURCES[method], averaged, unit),
         "exponents": exponents,
         "exponents_error": error,
-        "exponents_method": int(data["exponents_method"]),
+        "exponents_method": method,
         "status": int(data["status"]),
         "kaplan_yorke": float(data["kaplan_yorke"]),
         "kaplan_yorke_error": kaplan_yorke_error(exponents, error),
         "sum_rule_residual": float(data["sum_rule_residual"]),
-        "averaging_periods": float(data["averaging_periods"]),
+        "averaging_periods": averaged,
         "error_estimate": float(attrs.get("error_estimate", math.nan)),
         "solver": str(attrs.get("solver", "")),
         "steps_per_period": int(attrs.get("steps_per_period", 0)),
-        "time_unit": float(attrs.get("strobe_period", 1.0)),
+        "time_unit": unit,
     }
 
 
-def _verdict(path: Path) -> dict[str, Any]:
-    try:
-        data = hdf5.read_group(path, "verdict").squeeze()
-    except jaxnh.ResultError:
-        return {}
-    return {"verdict": int(data["kind"])}
+def motion(exponents: np.ndarray, error: np.ndarray, method: str, averaged: float, unit: float) -> int:
+    """Return the kind of a motion by its exponents alone, a number of `MOTIONS`, as `verdict` judges them.
+
+    Chaotic: the largest exponent across the flow is above what shear on a torus leaves in it; regular: it is zero
+    within a small error, or negative.
+
+    Args:
+        exponents, error: (k,), in 1/time.
+        method: word of `exponents_method`.
+        averaged, unit: length of the average in units of time, and that unit.
+    """
+    if method == "equilibrium":
+        return MOTIONS.index("equilibrium")
+    largest, bar = largest_across(exponents[None], error[None])
+    if exceeds_shear(largest, bar, np.array([averaged]), unit)[0]:
+        return MOTIONS.index("chaotic")
+    regular = nearly_zero(largest, bar, unit) | (largest + bar < 0.0)
+    return MOTIONS.index("regular" if regular[0] else "undecided")
 
 
 def _published(flow: PublishedFlow) -> dict[str, Any]:
@@ -181,7 +198,7 @@ def _dataset(rows: Sequence[Mapping[str, Any]], count: int) -> xr.Dataset:
         variables[name] = variable("flow", _column(rows, name, np.nan), words, units="s" if name == "seconds" else "")
     for name, words, meanings in (
         ("exponents_method", "what the exponents are", SOURCES),
-        ("verdict", "kind of motion from all criteria together", KINDS),
+        ("motion", "kind of motion by the exponents alone", MOTIONS),
     ):
         variables[name] = flag("flow", _column(rows, name, _NONE), words, ("none", *meanings), least=_NONE)
     variables["steps_per_period"] = variable("flow", _column(rows, "steps_per_period", 0), "steps a unit of time")
