@@ -11,7 +11,7 @@ FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 GALLERY := oscillating_mass sleigh_in_a_valley suslov appell_hamel parallel_velocities thermostat speed_in_space
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows gallery $(addprefix gallery_,$(GALLERY)) paper effects startup first_answer newcomer claims docs release-check test browser check_types check_tests slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows gallery $(addprefix gallery_,$(GALLERY)) paper effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -61,6 +61,11 @@ startup: $(INSTALLED)
 # How soon strangers' flows are answered, and how rightly (pip install dysts); writes results/first_answer.md.
 first_answer: $(INSTALLED)
 	$(RUN)/python -m sweeps.timing.first_answer
+
+# The reference table: spectra of all flows of dysts (pip install dysts) and of maps; writes results/reference_flows.h5
+# and docs/reference/flows.md. An hour, resumable.
+reference: $(INSTALLED)
+	$(RUN)/python -m sweeps.studies.reference_flows --longer 30
 
 # What the README, the how-to pages and three strangers' flows have, run as it stands there, against results/newcomer.md.
 newcomer: $(INSTALLED)

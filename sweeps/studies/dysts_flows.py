@@ -134,7 +134,8 @@ def _methods(classes: Mapping[str, ast.ClassDef], name: str) -> dict[str, ast.Fu
 
 def _text(lines: Sequence[str], node: ast.FunctionDef, *, whole: bool = False) -> str:
     first = node.lineno if whole else node.body[0].lineno
-    return textwrap.dedent("\n".join(lines[first - 1 : node.end_lineno])).replace("np.", "jnp.")
+    text = textwrap.dedent("\n".join(lines[first - 1 : node.end_lineno])).replace("np.", "jnp.")
+    return re.sub(r"(?<![\w.])(max|min)\(", r"jnp.\1imum(", text)
 
 
 def _published_flow(
@@ -147,10 +148,11 @@ def _published_flow(
     if "_rhs" in methods:
         arguments = [argument.arg for argument in methods["_rhs"].args.args]
         coordinates = tuple(arguments[: arguments.index("t")])
-        text += ["    def rhs(y_in, t):", f"        {', '.join(coordinates)} = y_in"]
+        text += ["    def rhs(y_in, t):", f"        {', '.join(coordinates)}{',' * (len(coordinates) == 1)} = y_in"]
         text += [textwrap.indent(_text(lines, methods["_rhs"]), " " * 8)]
     else:
-        coordinates = tuple(f"u{i}" for i in range(len(start)))
+        letter = "u" if not any(re.fullmatch(r"u\d", key) for key in parameters) else "q"
+        coordinates = tuple(f"{letter}{i}" for i in range(len(start)))
         text += _method_lines(name, list(parameters), methods, lines)
     said = f"'coordinates': {coordinates!r}, 'time_unit': {float(entry['period'])!r}"
     source = "\n".join([*text, "", f"    return {{'rhs': rhs, {said}}}", ""])

@@ -1,12 +1,12 @@
 """The reference table: spectra with error bars of all flows without delay of dysts, and of the maps of configs/maps.
 
-    python -m sweeps.studies.reference_flows [NAME ...] [--limit SECONDS] [--longer EVERY] [--again] [--table]
+    python -m sweeps.studies.reference_flows [NAME ...] [--limit SECONDS] [--longer COUNT] [--again] [--table]
 
 Each is one `jaxnh.sweep` in a process of its own that has a limit of time: one lane at the published values, all
 exponents, a target of 1e-8. What has been answered or refused is kept in results/reference_flows/ and not run again,
 so that a study that was killed goes on where it was; with `--again` it is. Flows that are named run alone; with
-`--longer` every so many-th of the flows that have an answer runs once more, ten times as long, after the end of the
-first average, which tells how often error bars cover. Both end with results/reference_flows.h5 and
+`--longer` so many flows, those that were answered soonest, run once more, ten times as long, from where the first
+average ends, which tells how often error bars cover. Both end with results/reference_flows.h5 and
 docs/reference/flows.md, which `--table` makes alone from what there is.
 """
 
@@ -16,7 +16,7 @@ import argparse
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,7 +43,7 @@ class Case(NamedTuple):
 
     Attributes:
         source: text of a user's file.
-        configs: texts of configs: of the run, and where it does not end in its time of a short one.
+        configs: texts of configs: of the run, and of a short one for where that does not end in its time.
         longer: that of the longer run, or "".
     """
 
@@ -119,14 +119,26 @@ def run_case(folder: Path, source: str, configs: Sequence[str], limit: float, *,
     return ", ".join(f"{one['code']} in {one['seconds']:.1f} s" for one in tried)
 
 
-def main() -> None:
+def soonest(names: Iterable[str], count: int) -> list[str]:
+    """Return so many of those that have an answer at the first try, which took least time first."""
+    seconds = dict[str, float]()
+    for name in names:
+        path = FOLDER / name / RECORD
+        tried = json.loads(path.read_text(encoding="utf-8"))["tried"] if path.exists() else []
+        if len(tried) == 1 and tried[0]["code"] == 0:
+            seconds[name] = tried[0]["seconds"]
+    return sorted(seconds, key=lambda name: seconds[name])[:count]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run what has not been run, and write the table and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME")
-    parser.add_argument("--limit", type=float, default=120.0, metavar="SECONDS", help="of a run; longer ones: 5 times")
-    parser.add_argument("--longer", type=int, default=0, metavar="EVERY")
+    parser.add_argument("--limit", type=float, default=120.0, metavar="SECONDS", help="of a run")
+    parser.add_argument("--longer", type=int, default=0, metavar="COUNT")
     parser.add_argument("--again", action="store_true", help="run what has been run as well")
     parser.add_argument("--table", action="store_true", help="run nothing")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     every = cases()
     unknown = [name for name in given.names if name not in every]
     if unknown:
@@ -136,10 +148,8 @@ def main() -> None:
     for name in [] if given.table else given.names or every:
         case, folder = every[name], FOLDER / name
         print(f"{name}: {run_case(folder, case.source, case.configs, given.limit, again=given.again)}", flush=True)
-    answered = [name for name, case in every.items() if case.longer and (FOLDER / name / RESULT).exists()]
-    for name in answered[:: given.longer] if given.longer else []:
-        folder, case = FOLDER / name / LONGER, every[name]
-        line = run_case(folder, case.source, (case.longer,), 5.0 * given.limit, again=given.again)
+    for name in soonest({name: case for name, case in every.items() if case.longer}, given.longer):
+        line = run_case(FOLDER / name / LONGER, every[name].source, (every[name].longer,), given.limit)
         print(f"{name}, longer: {line}", flush=True)
     data = reference_table(FOLDER, published_flows(), sorted(every, key=str.lower))
     save(TABLE, data)

@@ -23,8 +23,8 @@ authors wrote them and at their published values; maps are those of `configs/map
 
 - **Exponents** are in 1/time, those of maps in 1/iterate; what stands in brackets is the error at 95 %, in units of the
   last digits: 0.9056(22) is 0.9056 ± 0.0022. An exponent without brackets is known to be zero, as that along a flow.
-- **D** is the Kaplan–Yorke dimension. **Motion** is what the exponents say by the rule of `verdict`, which for its other
-  criteria would need a section of each flow.
+- **D** is the Kaplan–Yorke dimension. **Motion** is what the exponents say by the rule of `verdict`, which for its
+  other criteria would need a section of each flow.
 - **Sum** is how far the sum of the exponents is from the mean divergence, **met** the error of a unit of time that the
   steps had, relative to the size of the motion.
 - **dysts** is what that package says of λ1 and D, in bold where it lies outside of our bar. It has no bars of its own.
@@ -72,12 +72,17 @@ def with_error(value: float, error: float) -> str:
         return "–"
     if not math.isfinite(error) or error == 0.0:
         return f"{value:.6g}"
-    largest = math.floor(math.log10(max(abs(value), error)))
+    largest = _power(max(abs(value), error))
     power = largest if largest < -3 or error >= 100.0 else 0
     value, error = value / 10.0**power, error / 10.0**power
-    digits = max(1 - math.floor(math.log10(error)), 0)
+    digits = max(1 - _power(error), 0)
     bracket = round(error * 10.0**digits)
     return f"{value:.{digits}f}({bracket})" + (f"e{power}" if power else "")
+
+
+def _power(value: float) -> int:
+    """The power of ten of a positive number that is rounded to two digits."""
+    return int(f"{value:.1e}".partition("e")[2])
 
 
 def _row(flow: xr.Dataset) -> tuple[str, ...]:

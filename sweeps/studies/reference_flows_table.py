@@ -172,8 +172,9 @@ def kaplan_yorke_error(exponents: np.ndarray, error: np.ndarray) -> float:
     following = abs(exponents[min(j, len(exponents) - 1)])
     if following == 0.0:
         return math.nan
-    own = total[j - 1] * error[j] / following**2 if j < len(exponents) else 0.0
-    return float(np.sum(error[:j]) / following + own)
+    if j == len(exponents):
+        return max(float(np.sum(error) - total[-1]), 0.0) / following
+    return float(np.sum(error[:j]) / following + total[j - 1] * error[j] / following**2)
 
 
 # ---- columns

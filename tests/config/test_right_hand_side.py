@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxnh
-from jaxnh.exceptions import AccuracyError, ConfigError
+from jaxnh.exceptions import AccuracyError, ConfigError, InputError
 from jaxnh.maps.section import Section, plot_plane
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
@@ -47,6 +47,15 @@ def test_system_and_section(tmp_path):
     assert dict(flow.parameters) == {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
     assert flow.lane_parameters == ("rho",)
     assert [float(x[0]) for x in experiment.start({}, 1).state.y] == [1.0, 1.0, 20.0]
+
+
+def test_one_coordinate_without_a_clock_has_no_exponent_across():
+    def fading(k=1.0):
+        return {"rhs": lambda y, t: (-k * y[0],), "coordinates": "x"}
+
+    session = jaxnh.Session(fading, start={"x": 1.0}, target=1e-6)
+    with pytest.raises(InputError, match="one coordinate without a clock has no exponent but that along it"):
+        session.run(jaxnh.Lyapunov(transient=16, periods=64, exponents=1))
 
 
 @pytest.mark.parametrize(

@@ -1,75 +1,11 @@
-"""sweeps/timing/first_answer.py: a stranger's class as a user's file, and the page of its answers."""
+"""sweeps/timing/first_answer.py: spectra against others, and the page of answers."""
 
 from __future__ import annotations
 
-import json
-import sys
-from types import SimpleNamespace
-
 import h5py
-import numpy as np
-import pytest
 
-from jaxnh.engine.experiment import load
 from sweeps.timing import first_answer
 from sweeps.timing.first_answer import Answer
-
-FLOWS = """
-class Flow:
-    def __init__(self):
-        pass
-
-
-class Roessler(Flow):
-    @staticmethod
-    def _rhs(x, y, z, t, a, b, c):
-        xdot = -y - z
-        ydot = x + a * y
-        zdot = b + z * x - c * z
-        return xdot, ydot, zdot
-
-
-class Swing(Flow):
-    def force(self, x):
-        return -self.k * np.sin(x)
-
-    def rhs(self, X, t):
-        x, v = X
-        return v, self.force(x)
-"""
-DATA = {
-    "Roessler": {
-        "delay": False,
-        "parameters": {"a": 0.2, "b": 0.2, "c": 5.7},
-        "initial_conditions": [1.0, 2.0, 0.0],
-        "period": 5.9,
-    },
-    "Swing": {"delay": False, "parameters": {"k": 2}, "initial_conditions": [0.5, 0.0], "period": 4.5},
-    "MackeyGlass": {"delay": True},
-}
-
-
-@pytest.fixture
-def flows(tmp_path, monkeypatch):
-    """Files of two flows of a package like dysts."""
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "chaotic_attractors.json").write_text(json.dumps(DATA))
-    (tmp_path / "flows.py").write_text(FLOWS)
-    monkeypatch.setitem(sys.modules, "dysts", SimpleNamespace(__file__=str(tmp_path / "__init__.py")))
-    return tmp_path / "cases", first_answer.write_flows(tmp_path / "cases")
-
-
-def test_flows_are_experiments(flows):
-    """Both ways that dysts writes a flow: of components, and a method of a vector with others beside it."""
-    folder, sizes = flows
-    assert sizes == {"Roessler": 3, "Swing": 2}
-    for name, size in sizes.items():
-        experiment = load(folder / name / "c.yaml")
-        assert len(experiment.flow().coordinates) == size
-        assert experiment.sweep.lanes == 1
-    swing = load(folder / "Swing" / "c.yaml").flow()
-    state = swing.chart.state(np.array([0.5, 0.1]))
-    np.testing.assert_allclose(np.ravel(swing.rhs(0.0, state, {"k": 2.0})), [0.1, -2.0 * np.sin(0.5)], rtol=1e-15)
 
 
 def test_spectra_are_held_against_others(tmp_path):

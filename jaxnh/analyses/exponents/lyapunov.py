@@ -93,8 +93,13 @@ def periods(options: LyapunovOptions, lanes: int) -> float:
 
 
 def check(options: LyapunovOptions, setting: Setting) -> None:
-    """Check that no more exponents are asked for than there are; the default is cut down to them."""
+    """Check that there is an exponent across the flow, and no more are asked for than there are.
+
+    The default is cut down to them.
+    """
     most = setting.flow.exponents
+    if most - int(setting.flow.autonomous) < 1:
+        raise OptionError("a flow of one coordinate without a clock has no exponent but that along it; take portrait")
     if "exponents" in options.model_fields_set and options.exponents > most:
         raise OptionError(f"must be at most {most}, not {options.exponents}", "exponents")
 
