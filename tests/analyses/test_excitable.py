@@ -59,7 +59,8 @@ def orbit_by_scipy(name, number, value):
 def test_the_orbit_of_hodgkin_and_huxley(session_at, target):
     """Its period within the target, which is of one return, and its largest multiplier, by scipy's DOP853 at 1e-12.
 
-    Derivatives of a map are less accurate than the map; another order of magnitude is allowed them.
+    Rates change e-fold over 10 mV, and what a step of order nine errs by with their ninth power, over a hundredth of the
+    motion: by so much an error of the map's derivative is larger.
     """
     period, multipliers, _ = orbit_by_scipy("hodgkin_huxley", 0, 0.0)
     session = session_at("hodgkin_huxley", target).on(coordinate="v", value=0.0, direction="up")
@@ -68,7 +69,7 @@ def test_the_orbit_of_hodgkin_and_huxley(session_at, target):
     orbit = session.run(jaxnh.Period(transient=20, max_period=4)).squeeze()
     assert int(orbit["period"]) == 1
     across = np.sort(np.abs(multipliers))[-2]  # the largest is that along the flow
-    assert abs(float(orbit["multiplier"]) - across) < 10.0 * target
+    assert abs(float(orbit["multiplier"]) - across) < 100.0 * target
 
 
 def test_the_exponents_of_hodgkin_and_huxley(session_at):
@@ -85,8 +86,8 @@ def test_the_exponents_of_hodgkin_and_huxley(session_at):
     ("name", "other", "periods", "parts"),
     some_slow(
         {
-            "quick": ("hindmarsh_rose", by_heyoka, 256, 2),
-            "hindmarsh_rose": ("hindmarsh_rose", by_heyoka, 8192, 2),
+            "quick": ("hindmarsh_rose", by_heyoka, 256, 16),
+            "hindmarsh_rose": ("hindmarsh_rose", by_heyoka, 8192, 16),
             "excitable_cell": ("excitable_cell", by_scipy, 512, 8),
             "isothermal_chemical": ("isothermal_chemical", by_heyoka, 4096, 8),
             "circadian_rhythm": ("circadian_rhythm", by_heyoka, 512, 8),
@@ -105,6 +106,5 @@ def test_spectra_beside_others(session_at, name, other, periods, parts):
     exponents, error = run["exponents"].to_numpy(), run["exponents_error"].to_numpy()
     known, bar = spectrum(name, other(name), 64, periods, parts)
     window = periods * FLOWS[name].unit
-    print(name, exponents, error, known, bar, float(run["sum_rule_residual"]))
     assert (np.abs(exponents - known) <= 2.0 * np.hypot(error, bar) + np.log(100.0) / window).all()
     assert abs(float(run["sum_rule_residual"])) < 1e-3 * np.abs(exponents).max()

@@ -157,6 +157,8 @@ def by_scipy(name):
 def spectrum(name, push, transient, units, parts):
     """Exponents of a flow and their errors at 95 %, (d,) each: averages over units of time, of `parts` QR each.
 
+    Parts are so short that no tangent shrinks below the rounding of another one in them.
+
     Errors are of the means of sixteen blocks.
     """
     flow = FLOWS[name]
