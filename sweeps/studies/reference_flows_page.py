@@ -55,6 +55,8 @@ def page(data: xr.Dataset) -> str:
     ]
     seconds = data["seconds"].to_numpy()[answered]
     of = f"{int(answered.sum())} of {data.attrs['flows_and_maps']} have an answer"
+    missing = int(data.attrs["flows_and_maps"]) - data.sizes["flow"]
+    of += f", {missing} have not been run" if missing else ""
     spent = f", in {np.median(seconds):.0f} s at the median and {seconds.max():.0f} s at most" if len(seconds) else ""
     return _PAGE.format(
         count=of + spent + ".",
