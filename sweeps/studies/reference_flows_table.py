@@ -181,7 +181,7 @@ def kaplan_yorke_error(exponents: np.ndarray, error: np.ndarray) -> float:
 
 
 def _dataset(rows: Sequence[Mapping[str, Any]], count: int) -> xr.Dataset:
-    most = max((len(row["exponents"]) for row in rows if "exponents" in row), default=1)
+    most = max((len(row[name]) for row in rows for name in _PAIRS if name in row), default=1)
     variables = {
         "flow": variable("flow", np.array([row["flow"] for row in rows], str), "name", units=""),
         "exponent": variable("exponent", np.arange(1, most + 1), "number of the exponent, largest first"),
