@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import PeriodOptions as Period
     from jaxnh.analyses.options import PoincareOptions as Poincare
     from jaxnh.analyses.options import PortraitOptions as Portrait
+    from jaxnh.analyses.options import ReversalOptions as Reversal
     from jaxnh.analyses.options import VerdictOptions as Verdict
     from jaxnh.analyses.options import WindowsOptions as Windows
     from jaxnh.engine.experiment import Experiment, load
@@ -116,6 +117,7 @@ __all__ = [
     "Poincare",
     "Portrait",
     "ResultError",
+    "Reversal",
     "RunError",
     "Session",
     "Stopped",

@@ -7,6 +7,7 @@ from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.continuation import branches, curves
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
+from jaxnh.analyses.reversal import reversal
 from jaxnh.analyses.trajectories import diagram, poincare, portrait
 from jaxnh.analyses.windows import windows
 
@@ -23,6 +24,7 @@ _MODULES = (
     branches,
     curves,
     windows,
+    reversal,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}

@@ -335,6 +335,24 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     return scheme_of(system, solver).cut(system, solver, each, parts, compensated=compensated)
 
 
+def backward_parts(
+    system: Flow, solver: Solver, steps: int, parts: int, begin: float, *, compensated: bool = False
+) -> ReturnMap:
+    """The maps back in time over a period from `begin`, in so many parts of equally many steps, stacked.
+
+    Raises:
+        TypeError: the solver takes steps of a lane's own, which go forward alone.
+    """
+    if isinstance(solver, AdaptiveMethod):
+        raise TypeError(f"{solver.name} has no steps back in time")
+    each = -(-steps // parts)
+    if system.autonomous:
+        return _equal_steps(system, solver, each, -system.period / parts, parts)
+    ends = step_grid(system, each * parts, (begin, begin - system.period))
+    grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
+    return scheme_of(system, solver).parts(system, solver, each, grid, ends[::each], compensated=compensated)
+
+
 def _adaptive(
     system: Flow | Section, solver: AdaptiveMethod, steps: int, span: tuple[float, float] | None
 ) -> ReturnMap:

@@ -98,6 +98,10 @@ def _of_curves(data: xr.Dataset, panel: str, *own: str) -> _Description:
 
 
 _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description] | None]] = {
+    "reversal": (
+        ("repeller_exponents",),
+        lambda _: _Description("curves", ("distance", "overlap"), (), "distance and overlap", "0 1"),
+    ),
     "lyapunov": (("exponents",), _lyapunov),
     "chaos01": (("k_median",), lambda _: _Description("curves", ("k_median",), (), "0–1 test, $K$", "0 1")),
     "verdict": (("recurrence_lag",), lambda _: _Description("flags", ("kind",), label="verdict")),

@@ -16,7 +16,8 @@ from jaxnh.systems.tracing import KnownValue, Program
 Definition = Mapping[str, Any]
 """Definition of a system: its equations of motion, `coordinates`, with a clock its `period`, without one if
 wanted a `time_unit` that lengths of time are counted in, and where it has some, which of its names are `angles`; what
-parameters and coordinates are called in words, `labels`, and their `units`, by name."""
+parameters and coordinates are called in words, `labels`, and their `units`, by name; where it is said, what takes
+motions to motions backwards, `reversal` (see the module of this name)."""
 
 
 class DefinedFlow(Flow):
@@ -81,6 +82,10 @@ class DefinedFlow(Flow):
     def definition(self, p: Parameters) -> Definition:
         """The definition of a lane."""
         return self.define(**{**self.values, **p})
+
+    def reversal(self, p: Parameters) -> Any:
+        """The reversal that the definition of a lane says."""
+        return self.definition(p).get("reversal")
 
 
 def _decides_the_clock(define: Callable[..., Definition], values: Mapping[str, ArrayLike], name: str) -> bool:

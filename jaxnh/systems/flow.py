@@ -137,6 +137,10 @@ class Flow(eqx.Module):
     def rhs(self, t: ArrayLike, y: State, p: Parameters) -> State:
         """Time derivative of a state; components (...,) in and out."""
 
+    def reversal(self, p: Parameters) -> Any:
+        """The involution that takes motions to motions backwards, as `systems.reversal` reads it; None: unsaid."""
+        return None
+
     def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Number:
         """Divergence of the flow; its mean is the sum of the Lyapunov exponents."""
         return self.divergence_of(lambda z: self.rhs(t, z, p), y)

@@ -242,6 +242,10 @@ class IsokineticParticle(Flow):
         turn = (n[0] * f[1] - n[1] * f[0]) / s
         return (s * n[0], s * n[1]), (-n[1] * turn, n[0] * turn)
 
+    def reversal(self, p: Parameters) -> dict[str, float]:
+        """(q, n, t) → (q, −n, T/2 − t), which undoes a motion as no damping is left; T/2 is π/ω at constant speed."""
+        return {"time": 0.5 * self.period}
+
     def divergence(self, t: ArrayLike, y: State, p: Parameters) -> Array:
         """Divergence −n·F/s of the flow of (x1, y1, θ); its mean is the sum of the three Lyapunov exponents.
 

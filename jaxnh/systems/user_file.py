@@ -72,10 +72,10 @@ from jaxnh.systems.user_names import check_names, fault_of_count, state_sizes, s
 from jaxnh.systems.user_text import Names, read_text
 
 _CLOCKS = ("period", "time_unit")
-_OF_ALL = ("coordinates", "angles", "labels", "units")
+_OF_ALL = ("coordinates", "angles", "labels", "units", "reversal")
 _FIRST_ORDER = ("rhs", "jumps", "switches", *_CLOCKS, *_OF_ALL)
 _MECHANICS = ("T", "Q", "f", "ignorable", "integrals", *QUASI_KEYS, *_CLOCKS, *_OF_ALL)
-_MAP = ("map", *_OF_ALL)
+_MAP = ("map", *_OF_ALL[:-1])
 _OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a number a coordinate, or a constraint
 _ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "rates": "(q, u, t)", **dict.fromkeys("TQf", "(q, v, t)")}  # of functions
 _PROBES = 16  # random states and times at which equations are held against themselves a period later

@@ -2,7 +2,7 @@
 
 from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.options.basins import BasinsOptions
-from jaxnh.analyses.options.chaos import Chaos01Options, LyapunovOptions, VerdictOptions
+from jaxnh.analyses.options.chaos import Chaos01Options, LyapunovOptions, ReversalOptions, VerdictOptions
 from jaxnh.analyses.options.orbits import BranchesOptions, CurvesOptions, DoublingOptions, PeriodOptions, WindowsOptions
 from jaxnh.analyses.options.trajectories import DiagramOptions, PoincareOptions, PortraitOptions
 
@@ -21,6 +21,7 @@ OPTIONS: dict[str, type[Options]] = {
         BranchesOptions,
         CurvesOptions,
         WindowsOptions,
+        ReversalOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

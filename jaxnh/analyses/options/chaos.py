@@ -42,3 +42,13 @@ class VerdictOptions(Options):
         description="Lanes that look chaotic or quasiperiodic are followed for so many times as long; 0: chaotic ones"
         " are not, others once",
     )
+
+
+class ReversalOptions(Options):
+    """Options of `reversal`."""
+
+    transient: int = Field(
+        default=512, ge=1, description="Periods, or crossings, before points of the attractor are kept"
+    )
+    strobes: int = Field(default=512, ge=64, description="Points that the attractor and its image are compared by")
+    periods: int = Field(default=1024, ge=BLOCKS, description="Periods that exponents of either are averaged over")

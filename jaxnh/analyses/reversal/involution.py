@@ -1,0 +1,150 @@
+"""The reversal of a batch's flow: which one it is, in which lanes it holds, and images of states under it."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxnh.analyses.base import OptionError
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.maps.section import Crossing, Section, System
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.reversal import (
+    EXACT,
+    Reversal,
+    declared_reversal,
+    describe_reversal,
+    describe_violation,
+    random_places,
+    reverse,
+    sign_changes,
+    violation,
+    violations,
+)
+from jaxnh.systems.state import State, Vector
+
+NONE, _DECLARED, _FIRST = 0, 1, 2  # numbers of reversals: none, the system's own, and from here on the changes of signs
+_ON_SECTION = 16  # random points of a section of which the images are to be on it
+
+
+def choose_reversal(batch: LaneBatch) -> int:
+    """Return the number of a reversal that holds in a lane of a batch and keeps its section; `NONE` where none does.
+
+    It is the system's own where it says one, else the change of the fewest signs at the earliest instant.
+
+    Raises:
+        InputError: what the system says is no reversal.
+    """
+    declared = declared_reversal(batch.flow)
+    candidates = _as_candidates(declared) if declared else sign_changes(batch.flow)
+    for p in _sample_lanes(batch) if candidates else ():
+        holds = (violations(batch.flow, candidates, p) <= EXACT) & _keep_section(batch.system, candidates, p)
+        if holds.any():
+            return _DECLARED if declared else _FIRST + int(np.argmax(holds))
+    return NONE
+
+
+def reversal_of(batch: LaneBatch, number: int) -> Reversal:
+    """Return the reversal of a batch, from the number that was chosen.
+
+    Raises:
+        OptionError: there is none; the message has the place where the nearest one fails, and both values there.
+    """
+    declared = declared_reversal(batch.flow)
+    if (declared is not None) != (number == _DECLARED):
+        number = choose_reversal(batch)
+    if number == NONE:
+        raise OptionError(_describe_failure(batch))
+    candidates = sign_changes(batch.flow)
+    if number == _DECLARED or candidates is None:
+        assert declared is not None
+        return declared
+    return jax.tree.map(lambda leaf: float(leaf[number - _FIRST]), candidates)
+
+
+def is_reversible(batch: LaneBatch, lanes: LaneRunner, reversal: Reversal) -> Bool[np.ndarray, " lanes"]:
+    """Return in which lanes the field at random states is the opposite of that at their images."""
+    shared = batch.flow, reversal, random_places(batch.flow)
+    return np.asarray(lanes(violation, shared, (dict(batch.p),))) <= EXACT
+
+
+def image_points(
+    batch: LaneBatch, lanes: LaneRunner, reversal: Reversal, states: State
+) -> Float[np.ndarray, "lanes points d"]:
+    """Return the section coordinates of the images of states (lanes, points)."""
+    return np.array(lanes(_image_points, (batch.system, reversal.signs), (states, dict(batch.p))))
+
+
+def images(batch: LaneBatch, lanes: LaneRunner, reversal: Reversal, states: State) -> State:
+    """Return the images of states (lanes,), as states of the flow also of crossings of a section of it."""
+    return lanes(_image_of_lane, (batch.system, reversal.signs), (states, dict(batch.p)))
+
+
+def _as_candidates(reversal: Reversal) -> Reversal:
+    return jax.tree.map(lambda number: np.array([number]), reversal)
+
+
+def _sample_lanes(batch: LaneBatch) -> list[dict[str, float]]:
+    """Return parameters of the first lane, one in the middle and the last."""
+    sampled = sorted({0, batch.count // 2, batch.count - 1})
+    return [{name: float(values[lane]) for name, values in batch.p.items()} for lane in sampled]
+
+
+def _keep_section(system: System, candidates: Reversal, p: Parameters) -> Bool[np.ndarray, " reversals"]:
+    """Return which reversals take a section to itself, in the same direction; without one all."""
+    count = len(candidates.instant)
+    if not isinstance(system, Section):
+        return np.ones(count, bool)
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (_ON_SECTION, system.chart.dimension))
+
+    def keeps(reversal: Reversal) -> Array:
+        def at(u: Array) -> tuple[Array, Array]:
+            state = system.chart.state(u).state
+            image = reverse(system.flow, reversal.signs, state, p)
+            same = (system.direction == "both") | (system.rate(state, p) * system.rate(image, p) > 0.0)
+            return jnp.abs(system.height(image)), same
+
+        height, same = jax.vmap(at)(points)
+        return (jnp.max(height) <= EXACT * (1.0 + abs(system.value))) & jnp.all(same)
+
+    return np.asarray(jax.jit(jax.vmap(keeps))(candidates))
+
+
+def _describe_failure(batch: LaneBatch) -> str:
+    """Return in words why no reversal was found."""
+    system, flow, p = batch.system, batch.flow, _sample_lanes(batch)[0]
+    declared = declared_reversal(flow)
+    candidates = _as_candidates(declared) if declared else sign_changes(flow)
+    if candidates is None:
+        return "of so many coordinates no changes of signs are tried: give the system its reversal"
+    gaps = violations(flow, candidates, p)
+    nearest = jax.tree.map(lambda leaf: float(leaf[np.argmin(gaps)]), candidates)
+    words = describe_reversal(flow, nearest)
+    if isinstance(system, Section) and gaps.min() <= EXACT:
+        return (
+            f"the reversal {words} takes the section {system.description} to another one; take a section that it "
+            "keeps: where a coordinate that changes its sign is zero, or in both directions"
+        )
+    where = describe_violation(flow, nearest, p)
+    if declared:
+        return f"the system's reversal is none: {where}"
+    return (
+        f"no change of signs is a reversal; for {words}, {where}; give the system its reversal, if it has another one"
+    )
+
+
+def _image(system: System, signs: Vector | None, state: State, p: Parameters) -> State:
+    if isinstance(state, Crossing):
+        return state._replace(state=reverse(system.flow, signs, state.state, p))
+    return reverse(system.flow, signs, state, p)
+
+
+def _image_points(system: System, signs: Vector | None, states: State, p: Parameters) -> Array:
+    return jax.vmap(lambda state: system.chart.point(_image(system, signs, state, p)))(states)
+
+
+def _image_of_lane(system: System, signs: Vector | None, state: State, p: Parameters) -> State:
+    image = _image(system, signs, state, p)
+    return image.state if isinstance(image, Crossing) else image
