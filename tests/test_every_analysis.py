@@ -47,6 +47,7 @@ OPTIONS = {
     "branches": {"max_period": 2, "transient": 64},
     "curves": {"max_period": 2, "transient": 64},
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
+    "reversal": {"transient": 64, "strobes": 64, "periods": 64},
 }
 
 
@@ -170,6 +171,19 @@ def words(*expected):
     return check
 
 
+def repellers(*expected):
+    """Of these kinds, and the exponents backwards in time from the image are those of the attractor, less the sign."""
+
+    def check(data, groups):
+        words(*expected)(data, groups)
+        ours, error, theirs, error_of_theirs, _ = lanes_of(
+            data, "exponents", "exponents_error", "repeller_exponents", "repeller_exponents_error"
+        )
+        assert np.all(np.abs(ours + theirs) < error + error_of_theirs + CLOSE)
+
+    return check
+
+
 def doubling(name, expected):
     """One doubling at each point of the other axes, within its error and what steps leave."""
 
@@ -262,6 +276,7 @@ def one_attractor(data, groups):
 # ---- kinds of scenes
 
 WITHOUT_SECTION = "the system has no period, and {} looks at it on a section"
+NO_REVERSAL = "no change of signs is a reversal"
 ONE_PARAMETER = "curves are followed over two axes, and the sweep has {}"
 MU = "mu: {start: -0.28, stop: 0.28, count: 8}"
 STEPS = "accuracy: {solver: tsit5, steps: 80}"
@@ -308,6 +323,7 @@ MOEBIUS = {
     "branches": branches([1, 2], "mu", zero),
     "curves": ONE_PARAMETER.format("mu"),
     "basins": one_attractor,
+    "reversal": NO_REVERSAL,
 }
 IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
@@ -353,6 +369,7 @@ def particle(names, rates=paper_equations.at_speed):
         "branches": branches([1, 2], "b", first_doubling),
         "curves": ONE_PARAMETER.format("b"),
         "basins": one_attractor,
+        "reversal": repellers("dissipative"),
     }
 
 
@@ -366,6 +383,7 @@ KINDS = {
         | dict.fromkeys(("poincare", "diagram"), iterates_of(cubic, ("u", "v")))
         | {
             "portrait": "a map has nothing between its iterates",
+            "reversal": "a map is not followed backwards",
             "lyapunov": exponents(cubic_exponents),
         },
         known_maps.CUBIC,
@@ -380,7 +398,8 @@ KINDS = {
         MOEBIUS
         | dict.fromkeys(
             ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)
-        ),
+        )
+        | {"reversal": "motions with jumps or switches are not followed backwards"},
         moebius.MOEBIUS_WITH_JUMPS,
     ),
     "two axes": Kind(
@@ -466,6 +485,7 @@ KINDS = {
             "branches": branches([1], "damping"),
             "curves": ONE_PARAMETER.format("damping"),
             "basins": one_attractor,
+            "reversal": NO_REVERSAL,
         },
         constrained_oscillators.SLIDE,
     ),
@@ -510,6 +530,7 @@ KINDS = {
             "branches": branches([1], "mu"),
             "curves": ONE_PARAMETER.format("mu"),
             "basins": one_attractor,
+            "reversal": NO_REVERSAL,
         },
         constrained_oscillators.CYCLE,
         {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}},
@@ -532,6 +553,7 @@ KINDS = {
             "branches": branches([1], "b"),
             "curves": ONE_PARAMETER.format("b"),
             "basins": one_attractor,
+            "reversal": NO_REVERSAL,
         },
     ),
     "no forcing, on a section": Kind(
@@ -554,6 +576,7 @@ KINDS = {
             "branches": no_row,
             "curves": ONE_PARAMETER.format("b"),
             "basins": nothing_periodic,
+            "reversal": repellers("conservative", "undecided"),
         },
         options={"doubling": {"levels": 1, "search": False}},
     ),

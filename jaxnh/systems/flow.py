@@ -169,8 +169,8 @@ class Flow(eqx.Module):
         """The state brought back to the constraints, where there are some that a step leaves."""
         return y
 
-    def nearest(self, y: State, p: Parameters) -> State:
-        """The state near one that is on the constraints at t = 0, where there are some."""
+    def nearest(self, y: State, p: Parameters, t: ArrayLike = 0.0) -> State:
+        """The state near one that is on the constraints at a time, where there are some."""
         return y
 
     # ---- what maps act on, and what steps carry

@@ -287,16 +287,17 @@ class Lagrangian(DefinedFlow):
             return ExplicitReduction(self, dependent, left_out=True)
         return Reduction(self)
 
-    def nearest(self, y: Motion, p: Parameters) -> Motion:
-        """The state near one that is on the constraints at t = 0: of other velocities, by many projections."""
+    def nearest(self, y: Motion, p: Parameters, t: ArrayLike = 0.0) -> Motion:
+        """The state near one that is on the constraints at a time: of other velocities, by many projections."""
         zero = jnp.zeros_like(y.q[0])
+        at = zero + t
 
         def again(_: Number, state: Motion) -> Motion:
             q, v, (drift, _) = state
-            moved = self.project(zero, Motion(q, v, (drift, zero)), p, trust=False)
+            moved = self.project(at, Motion(q, v, (drift, zero)), p, trust=False)
             return Motion(q, moved.v, (drift, zero))
 
-        return self.project(zero, lax.fori_loop(0, _APPROACHES, again, y), p)
+        return self.project(at, lax.fori_loop(0, _APPROACHES, again, y), p)
 
     # ---- host: start states and results
 

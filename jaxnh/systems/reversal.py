@@ -150,7 +150,7 @@ def probe(flow: Flow, reversal: Reversal, u: Array, t: Number, p: Parameters) ->
     def image_of(y: State) -> State:
         return reverse(flow, signs, y, p)
 
-    y = flow.project(t, flow.nearest(flow.chart.state(u), p), p)
+    y = flow.nearest(flow.chart.state(u), p, t)
     image, moved = jax.jvp(image_of, (y,), (flow.rhs(t, y, p),))
     later = flow.rhs(instant - t, image, p)
     state, image_of_rate, rate_of_image, twice, once, kept = (

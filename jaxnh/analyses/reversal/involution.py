@@ -32,17 +32,24 @@ _ON_SECTION = 16  # random points of a section of which the images are to be on 
 def choose_reversal(batch: LaneBatch) -> int:
     """Return the number of a reversal that holds in a lane of a batch and keeps its section; `NONE` where none does.
 
-    It is the system's own where it says one, else the change of the fewest signs at the earliest instant.
+    It is the system's own where it says one, else, or where the section wants another one as well, the change of the
+    fewest signs at the earliest instant.
 
     Raises:
         InputError: what the system says is no reversal.
     """
-    declared = declared_reversal(batch.flow)
-    candidates = _as_candidates(declared) if declared else sign_changes(batch.flow)
-    for p in _sample_lanes(batch) if candidates else ():
-        holds = (violations(batch.flow, candidates, p) <= EXACT) & _keep_section(batch.system, candidates, p)
-        if holds.any():
-            return _DECLARED if declared else _FIRST + int(np.argmax(holds))
+    flow, declared, changes = batch.flow, declared_reversal(batch.flow), sign_changes(batch.flow)
+    for p in _sample_lanes(batch):
+        if declared:
+            one = _as_candidates(declared)
+            if violations(flow, one, p)[0] > EXACT:
+                continue
+            if _keep_section(batch.system, one, p)[0]:
+                return _DECLARED
+        if changes:
+            holds = (violations(flow, changes, p) <= EXACT) & _keep_section(batch.system, changes, p)
+            if holds.any():
+                return _FIRST + int(np.argmax(holds))
     return NONE
 
 
@@ -52,12 +59,9 @@ def reversal_of(batch: LaneBatch, number: int) -> Reversal:
     Raises:
         OptionError: there is none; the message has the place where the nearest one fails, and both values there.
     """
-    declared = declared_reversal(batch.flow)
-    if (declared is not None) != (number == _DECLARED):
-        number = choose_reversal(batch)
     if number == NONE:
         raise OptionError(_describe_failure(batch))
-    candidates = sign_changes(batch.flow)
+    declared, candidates = declared_reversal(batch.flow), sign_changes(batch.flow)
     if number == _DECLARED or candidates is None:
         assert declared is not None
         return declared

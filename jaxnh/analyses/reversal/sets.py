@@ -81,7 +81,10 @@ def _nearest(system: System, points: Float[Array, "n d"], images: Float[Array, "
 
     def of_point(item: tuple[Array, Array, Array]) -> Array:
         point, own_half, own_quarter = item
-        image, own = (jnp.max(jnp.abs(system.chart.wrap(others - point)) / size, axis=1) for others in (images, points))
+        image, own = (
+            jnp.max(jnp.abs(system.chart.wrap(others - point[None, :])) / size[None, :], axis=1)
+            for others in (images, points)
+        )
         other, beside = half != own_half, quarter == (own_quarter ^ 1)
         parts = [jnp.min(jnp.where(part, x, jnp.inf)) for part in (other, beside) for x in (image, own)]
         return jnp.stack([jnp.min(image), *parts])
