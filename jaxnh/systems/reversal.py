@@ -111,7 +111,8 @@ def _reversal_of_signs(flow: Flow, said: Mapping[str, Any]) -> Reversal:
 
 
 def _checked_instant(flow: Flow, instant: Any) -> float:
-    if isinstance(instant, bool) or not np.isscalar(instant) or not np.isfinite(float(instant)):
+    number = np.asarray(instant)
+    if number.shape or number.dtype.kind not in "fiu" or not np.isfinite(number):
         raise InputError(f"the time of a reversal must be a number t0, for t -> t0 - t, not {instant!r}")
     return 0.0 if flow.autonomous else float(instant) % flow.period
 

@@ -8,7 +8,17 @@ import numpy as np
 
 _SYMBOLS = {"s", "min", "h", "m", "mm", "km", "kg", "g", "rad", "degree", "N", "Hz", "V", "A", "ohm", "K", "%"}
 _FACTOR = re.compile(r"([A-Za-z%]+)(?:\^?(-?\d+))?")
-_OF_TIME = {"exponents", "exponent", "repeller_exponents", "exponent_sum", "transverse", "sum_rule_residual", "volume_residual", "t", "drift"}
+_OF_TIME = {
+    "exponents",
+    "exponent",
+    "repeller_exponents",
+    "exponent_sum",
+    "transverse",
+    "sum_rule_residual",
+    "volume_residual",
+    "t",
+    "drift",
+}
 _OF_PARAMETER = {"first", "last", "begin", "end", "limit", "crisis", "doubling", "spacing"}
 WITHOUT_LANES = ("doubling", "windows", "branches", "bifurcations", "curves", "codimension_two", "attractors")
 

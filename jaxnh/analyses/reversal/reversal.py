@@ -12,9 +12,10 @@ The rule, with σ the sum of the exponents and ε its bar of 95 %:
 
 - sum: zero where |σ| ≤ ε and ε is small, negative or positive where |σ| > ε, else unresolved.
 - sets: samples of one set are as near to each other as the halves of the record of A are (`sets`). The sets are the
-  same where that holds of A and R(A), within the interval of 95 % of the share of points; apart where no point of A is
-  as near to R(A) and the distance exceeds its error; overlapping where some are, and no fewer than in quarters of the
-  record, where a gap that the halves begin to show is closed.
+  same where that holds of A and R(A), as far as numbers of points tell; apart where no point of A is as near to R(A)
+  and the distance exceeds its error; overlapping where some are, and from quarters to halves of the record their share
+  falls by less than in proportion to the spacing, so that some is left at none. Where the record drifts on, as on a
+  torus near a resonance, they are the same or nothing is said.
 - conservative: sum zero, sets the same. Dissipative: sum negative, sets apart. Mixed: sum negative, sets overlapping or
   the same. Irreversible: R is no reversal with the parameters of the lane. Undecided: everything else.
 """
@@ -59,6 +60,8 @@ SETS = ("apart", "same", "overlapping", "unresolved")
 """Meanings of the flags 0 to 3 of `sets`."""
 
 _SMALL_ERROR = 0.005 * 2 * np.pi  # of the sum a period: a bar beyond it says nothing of zero
+_DEVIATIONS = 4.0  # of the number of points within the spacing, two as that is of a sample as well, and of pairs
+_FINE = 0.05  # of the size: a record that drifts by less within its length shows the set
 _TANGENTS = 3  # carried of most systems, for the expected work
 _STAYS = 1e6  # periods that an error of the map is remembered at most on an orbit that attracts
 
@@ -153,15 +156,17 @@ def judge_sum(rates: Rates, period: float) -> Int8[np.ndarray, " lanes"]:
 
 def judge_sets(sets: SetComparison) -> Int8[np.ndarray, " lanes"]:
     """Return how A and R(A) lie, a number in `SETS`."""
-    low, high = binomial_interval(sets.within, sets.points)
-    coarse, _ = binomial_interval(sets.within_coarse, sets.points)
+    low, _ = binomial_interval(sets.within, sets.points)
+    _, high = binomial_interval(sets.within_coarse, sets.points)
+    least = sets.points * WITHIN - _DEVIATIONS * np.sqrt(sets.points * WITHIN * (1.0 - WITHIN))
     conditions = [
-        ~(np.isfinite(sets.distance) & np.isfinite(sets.error)),
-        high >= WITHIN,
+        ~(np.isfinite(sets.distance) & np.isfinite(sets.error)) | (sets.drifting & ~(sets.spacing < _FINE)),
+        sets.within >= least,
+        sets.drifting,
         (sets.within == 0) & (sets.distance > sets.error),
-        (low > 0.0) & (high >= coarse),
+        low * sets.coarse_spacing > high * sets.spacing,
     ]
-    return np.select(conditions, [3, 1, 0, 2], 3).astype(np.int8)
+    return np.select(conditions, [3, 1, 3, 0, 2], 3).astype(np.int8)
 
 
 def judge(sum_sign: Int8[np.ndarray, " lanes"], sets: Int8[np.ndarray, " lanes"]) -> Int8[np.ndarray, " lanes"]:

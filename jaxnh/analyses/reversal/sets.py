@@ -11,14 +11,16 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.section import System
 
 WITHIN = 0.95
-"""Share of the points of a set that are within `SetComparison.spacing` of another sample of it."""
+"""Share of the points of a set, at least, that are within `SetComparison.spacing` of another sample of it."""
 
+_GAPS = 2.0  # of the distances of neighbours: in points of a curve that are evenly spread gaps differ by as much
+_DRIFT = 3.0  # times the distance of neighbours in a half: that of the halves from each other
 _LEAST_SIZE = 1e-6  # of the largest coordinate: the size of one that is smaller
 
 
@@ -28,9 +30,11 @@ class SetComparison(NamedTuple):
     Attributes:
         distance: largest distance of a point of A from the nearest one of R(A), (lanes,).
         error: largest distance of a point of one half of the record from the nearest of the other, (lanes,).
-        spacing: distance within which `WITHIN` of the points of one half have one of the other, (lanes,).
+        spacing: distance within which `WITHIN` of the points of one half have one of the other, and half of which is
+            that to a neighbour in their own, (lanes,).
         within: number of points of one half that have one of the image of the other within the spacing, (lanes,).
-        within_coarse: the same of quarters of the record against each other.
+        coarse_spacing, within_coarse: the same of quarters of the record against each other, (lanes,).
+        drifting: whether the halves of the record are further from each other than neighbours within them, (lanes,).
         points: number of points of a lane.
     """
 
@@ -38,7 +42,9 @@ class SetComparison(NamedTuple):
     error: Float[np.ndarray, " lanes"]
     spacing: Float[np.ndarray, " lanes"]
     within: Int[np.ndarray, " lanes"]
+    coarse_spacing: Float[np.ndarray, " lanes"]
     within_coarse: Int[np.ndarray, " lanes"]
+    drifting: Bool[np.ndarray, " lanes"]
     points: int
 
 
@@ -49,26 +55,29 @@ def compare_sets(
     images: Float[np.ndarray, "lanes n d"],
     resolution: Float[np.ndarray, " lanes"],
 ) -> SetComparison:
-    """Return how sets and their images lie; lengths below the resolution of the points are no distance."""
+    """Return how sets and their images lie; lengths below the resolution of the points are no distance.
+
+    Where a record drifts on, as that of a torus near a resonance, the set is larger than it shows: the error of the
+    distance then reaches to zero.
+    """
     nearest = np.array(lanes(_nearest, (batch.system,), (points, images)))
-    of_image, in_half, own_half, in_quarter, own_quarter = np.moveaxis(nearest, -1, 0)
+    of_image, parts = nearest[..., 0], nearest[..., 1:].reshape(*nearest.shape[:2], 2, 3)
     with np.errstate(invalid="ignore"):  # of lanes that have failed
-        spacing, coarse = (np.maximum(np.quantile(own, WITHIN, axis=1), resolution) for own in (own_half, own_quarter))
-    return SetComparison(
-        np.max(of_image, axis=1),
-        np.max(own_half, axis=1) + resolution,
-        spacing,
-        np.sum(in_half <= spacing[:, None], axis=1),
-        np.sum(in_quarter <= coarse[:, None], axis=1),
-        points.shape[1],
-    )
+        across, inside = np.quantile(parts[..., 1:], WITHIN, axis=1).transpose(2, 0, 1)
+    spacing = np.maximum(np.maximum(across, _GAPS * inside), resolution[:, None])
+    within = np.sum(parts[..., 0] <= spacing[:, None], axis=1)
+    drifting = across[:, 0] > _DRIFT * np.maximum(inside[:, 0], resolution)
+    distance, error = np.max(of_image, axis=1), np.max(parts[:, :, 0, 1], axis=1) + resolution
+    error = np.where(drifting, np.maximum(error, distance), error)
+    fine, coarse = zip(spacing.T, within.T, strict=True)
+    return SetComparison(distance, error, *fine, *coarse, drifting, points.shape[1])
 
 
-def _nearest(system: System, points: Float[Array, "n d"], images: Float[Array, "n d"]) -> Float[Array, "n 5"]:
-    """Return distances of each point from the nearest image, of all, of the other half, and of the quarter beside it.
+def _nearest(system: System, points: Float[Array, "n d"], images: Float[Array, "n d"]) -> Float[Array, "n 7"]:
+    """Return the distance of each point from the nearest image, and three for each of two parts of the record.
 
-    Of the other half, and the quarter, also that from the nearest point itself. The order is: image, image in the half,
-    point in the half, image in the quarter, point in the quarter.
+    For halves, then for quarters: the distance from the nearest image of the part beside the point's own, from the
+    nearest point of that part, and from the nearest other point of its own.
     """
     both = jnp.concatenate([points, images])
     modulus = jnp.max(jnp.abs(both), axis=0)
@@ -76,20 +85,23 @@ def _nearest(system: System, points: Float[Array, "n d"], images: Float[Array, "
     largest = jnp.max(jnp.where(angles, 0.0, modulus))
     modulus = jnp.maximum(modulus, _LEAST_SIZE * jnp.where(largest > 0.0, largest, 1.0))
     size = jnp.where(angles, np.pi, modulus)
-    number = np.arange(len(points))
-    half, quarter = jnp.asarray(2 * number // len(points)), jnp.asarray(4 * number // len(points))
+    number = jnp.arange(len(points))
 
-    def of_point(item: tuple[Array, Array, Array]) -> Array:
-        point, own_half, own_quarter = item
-        image, own = (
+    def of_point(item: tuple[Array, Array]) -> Array:
+        point, own = item
+        image, other = (
             jnp.max(jnp.abs(system.chart.wrap(others - point[None, :])) / size[None, :], axis=1)
             for others in (images, points)
         )
-        other, beside = half != own_half, quarter == (own_quarter ^ 1)
-        parts = [jnp.min(jnp.where(part, x, jnp.inf)) for part in (other, beside) for x in (image, own)]
-        return jnp.stack([jnp.min(image), *parts])
+        distances = [jnp.min(image)]
+        for count in (2, 4):
+            part, mine = count * number // len(points), count * own // len(points)
+            beside, same = part == (mine ^ 1), (part == mine) & (number != own)
+            kept = ((beside, image), (beside, other), (same, other))
+            distances += [jnp.min(jnp.where(which, values, jnp.inf)) for which, values in kept]
+        return jnp.stack(distances)
 
-    return lax.map(of_point, (points, half, quarter))
+    return lax.map(of_point, (points, number))
 
 
 def binomial_interval(

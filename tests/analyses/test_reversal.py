@@ -1,0 +1,270 @@
+"""Attractors and their images: against closed forms, scipy's DOP853, and sets whose overlap is known."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from scipy.stats import binom
+
+import jaxnh
+from jaxnh.analyses.reversal import reversal as rules
+from jaxnh.analyses.reversal.sets import binomial_interval, compare_sets
+from jaxnh.exceptions import InputError
+from jaxnh.solvers import tsit5
+from jaxnh.systems.first_order import first_order
+from tests.flows.paper_equations import at_speed
+from tests.helpers.batches import batch_of
+from tests.helpers.kept_programs import lanes_with_kept_programs
+
+TURN = 2 * np.pi
+
+
+def kinds(data):
+    """Words of the verdicts."""
+    return [data["kind"].attrs["flag_meanings"].split()[k] for k in data["kind"].to_numpy().ravel()]
+
+
+def pair_of_points(strength=0.3):
+    """ẋ = (1 − x²)(1 + strength cos t), ẏ = −x (1 + strength cos t) y.
+
+    It has the attractor (1, 0) and the repeller (−1, 0); R changes the sign of x and of t. With ds = (1 + strength cos t)
+    dt the exponents at (1, 0) are −2 and −1.
+    """
+
+    def rhs(y, t):
+        x, z = y
+        g = 1.0 + strength * jnp.cos(t)
+        return (1.0 - x * x) * g, -x * z * g
+
+    return {"rhs": rhs, "coordinates": ("x", "y"), "period": TURN}
+
+
+def drag_that_averages_to_zero(drag=0.3, rate=0.7):
+    """ẍ + rate² x = −drag sin t ẋ, which (x, ẋ, t) → (x, −ẋ, −t) takes to itself; the exponents are zero."""
+
+    def rhs(y, t):
+        x, v = y
+        return v, -rate * rate * x - drag * jnp.sin(t) * v
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": TURN}
+
+
+def test_an_attractor_and_a_repeller_that_are_points():
+    """Distance two, in sizes of x, exponents −1 and −2, and those of the repeller 1 and 2."""
+    session = jaxnh.Session(pair_of_points, start={"x": 0.3, "y": 0.2}, target=1e-8)
+    data = session.run(jaxnh.Reversal(transient=64, strobes=64, periods=64), strength=[0.0, 0.5])
+    assert kinds(data) == ["dissipative"] * 2
+    assert data.attrs["reversal"] == "x -> -x, t -> -t"
+    np.testing.assert_array_less(np.abs(data["distance"] - 2.0), data["distance_error"])
+    np.testing.assert_array_less(np.abs(data["exponents"] - [-1.0, -2.0]), data["exponents_error"] + 1e-7)
+    np.testing.assert_array_less(np.abs(data["repeller_exponents"] - [1.0, 2.0]), data["repeller_exponents_error"])
+    np.testing.assert_array_less(np.abs(data["exponent_sum"] + 3.0), data["exponent_sum_error"])
+    assert not data["overlap"].to_numpy().any()
+
+
+def test_drag_that_a_reversal_keeps():
+    """The strobe points of a linear flow are on an ellipse, which is its own image; with friction beside there is none."""
+    session = jaxnh.Session(drag_that_averages_to_zero, start={"x": 0.4, "v": 0.2}, target=1e-8)
+    data = session.run(jaxnh.Reversal(transient=16, strobes=1024, periods=256), drag=[0.1, 0.3])
+    assert kinds(data) == ["conservative"] * 2
+    monodromy = [one_turn(drag) for drag in (0.1, 0.3)]
+    assert np.all(np.abs(np.abs(np.linalg.eigvals(monodromy)) - 1.0) < 1e-10)
+    assert np.all(np.abs(data["exponent_sum"]) <= data["exponent_sum_error"])
+    assert np.all(np.abs(data["exponents"]) <= data["exponents_error"])
+
+
+def one_turn(drag, rate=0.7):
+    """The matrix of a period, by DOP853."""
+
+    def rates(t, y):
+        x, v = y.reshape(2, 2)
+        return np.concatenate([v, -rate * rate * x - drag * np.sin(t) * v])
+
+    return solve_ivp(rates, (0.0, TURN), np.eye(2).ravel(), "DOP853", rtol=1e-12, atol=1e-13).y[:, -1].reshape(2, 2)
+
+
+def strobes_at_the_fixed_instant(b, d, count, transient):
+    """Points (x1, y1, θ) of the paper's particle at t = π/2 + 2πn, by DOP853; of its image θ is the opposite direction."""
+    start = [0.1, 0.1, np.arctan2(np.sqrt(1.0 - 0.01), 0.1)]
+    times = TURN * np.arange(transient, transient + count) + np.pi / 2
+    path = solve_ivp(at_speed, (0.0, times[-1]), start, "DOP853", times, rtol=1e-10, atol=1e-11, args=(b, 0.5, 1.0, d))
+    return path.y.T
+
+
+def distance_of_images(points):
+    """Largest distance of a point from the nearest image, each coordinate relative to its largest modulus or π."""
+    images = points + np.array([0.0, 0.0, np.pi])
+    gap = points[:, None] - images[None]
+    gap[..., 2] = (gap[..., 2] + np.pi) % TURN - np.pi
+    sizes = np.append(np.abs(points[:, :2]).max(axis=0), np.pi)
+    return np.max(np.min(np.max(np.abs(gap) / sizes, axis=-1), axis=1))
+
+
+def test_periodic_attractors_of_the_particle():
+    """At b = 2 and 3 the attractor is an orbit: its distance to its image is that of DOP853 within the bar."""
+    session = jaxnh.Session(jaxnh.disturbed_speed(d=0.1), target=1e-8)
+    data = session.run(jaxnh.Reversal(transient=64, strobes=64, periods=64), b=[3.0, 4.0])
+    assert kinds(data) == ["dissipative"] * 2
+    for lane, b in enumerate((3.0, 4.0)):
+        exact = distance_of_images(strobes_at_the_fixed_instant(b, 0.1, 4, 60))
+        assert abs(data["distance"][lane] - exact) < data["distance_error"][lane] + 1e-8
+    gap = np.abs(data["exponents"] + data["repeller_exponents"])
+    assert np.all(gap <= data["exponents_error"] + data["repeller_exponents_error"])
+
+
+@pytest.mark.slow
+def test_the_chaotic_attractor_of_the_particle():
+    """At b = 5.3 the distance is that of another record, by DOP853, within both errors; exponents have opposite signs."""
+    session = jaxnh.Session(jaxnh.disturbed_speed(d=0.1), target=1e-6)
+    data = session.run(jaxnh.Reversal(transient=256, strobes=1024, periods=1024), b=[5.3])
+    other = distance_of_images(strobes_at_the_fixed_instant(5.3, 0.1, 1024, 64))
+    assert abs(data["distance"][0] - other) < 2 * data["distance_error"][0]
+    gap = np.abs(data["exponents"] + data["repeller_exponents"])
+    assert np.all(gap <= data["exponents_error"] + data["repeller_exponents_error"])
+    assert kinds(data)[0] in ("dissipative", "undecided")
+
+
+def pendulum(drive=0.7):
+    """q̈ = −(1 + drive cos t) sin q, without damping: divergence zero."""
+
+    def T(q, v, t):
+        return 0.5 * v[0] ** 2
+
+    def Q(q, v, t):
+        return (-jnp.sin(q[0]) * (1.0 + drive * jnp.cos(t)),)
+
+    return {"T": T, "Q": Q, "coordinates": ("q",), "angles": ("q",), "period": TURN}
+
+
+def test_the_driven_pendulum_is_conservative():
+    session = jaxnh.Session(pendulum, start={"q": 0.3, "q_dot": 0.4}, target=1e-7)
+    data = session.run(jaxnh.Reversal(transient=16, strobes=1024, periods=128), drive=[0.3])
+    assert kinds(data) == ["conservative"]
+    assert abs(float(data["exponent_sum"][0])) <= float(data["exponent_sum_error"][0])
+
+
+def henon_heiles(friction=0.0):
+    """The potential of Hénon and Heiles, with friction along x."""
+
+    def rhs(y, t):
+        x, z, u, v = y
+        return u, v, -x - 2 * x * z - friction * u, -z - x * x + z * z
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "u", "v")}
+
+
+def test_on_a_section_of_henon_and_heiles():
+    """The reversal is the one of two that keeps the section; a lane with friction has none, and the others go on."""
+    session = jaxnh.Session(henon_heiles, start={"x": 0.0, "y": 0.1, "u": 0.45, "v": 0.05}, target=1e-7)
+    data = session.on(coordinate="x", value=0.0, direction="up").run(
+        jaxnh.Reversal(transient=16, strobes=256, periods=128), friction=[0.0, 0.1]
+    )
+    assert kinds(data) == ["conservative", "irreversible"]
+    assert data.attrs["reversal"] == "x -> -x, v -> -v, t -> -t"
+    assert abs(float(data["exponent_sum"][1]) + 0.1) <= float(data["exponent_sum_error"][1])
+
+
+# ---- refusals
+
+
+def test_what_is_no_reversal_is_refused_with_the_place():
+    """The image of the rate of v is g(x) + friction v, the rate at the image −g(x) + friction v: both stand in the line."""
+
+    def system(friction=0.1):
+        def rhs(y, t):
+            x, v = y
+            return v, -x - friction * v
+
+        return {"rhs": rhs, "coordinates": ("x", "v"), "reversal": {"v": -1}}
+
+    session = jaxnh.Session(system, start={"x": 0.3, "v": 0.1}, target=1e-6).on(coordinate="x", direction="both")
+    with pytest.raises(InputError) as refused:
+        session.run(jaxnh.Reversal(transient=16, strobes=64, periods=16), friction=[0.1, 0.2])
+    line = str(refused.value)
+    assert "the system's reversal is none: at x = " in line
+    numbers = [
+        float(word.strip(",;")) for word in line.split() if word.strip(",;").lstrip("-").replace(".", "").isdigit()
+    ]
+    x, v, ours, theirs = numbers[-4:]
+    assert abs(ours - (x + 0.1 * v)) < 1e-3  # of numbers of four digits
+    assert abs(theirs - (-x + 0.1 * v)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"w": -1}, "reversal has 'w'; known are x, v and time"),
+        ({"v": -2}, "reversal of v must be 1 or -1, not -2"),
+        ({"v": -1, "time": "noon"}, "the time of a reversal must be a number t0"),
+        (3.0, "reversal must be signs of coordinates"),
+    ],
+)
+def test_what_a_system_says_of_its_reversal_is_read(said, words):
+    def system(rate=1.0):
+        def rhs(y, t):
+            x, v = y
+            return v, -rate * x
+
+        return {"rhs": rhs, "coordinates": ("x", "v"), "reversal": said}
+
+    session = jaxnh.Session(system, start={"x": 0.3, "v": 0.1}, target=1e-6).on(coordinate="x", direction="both")
+    with pytest.raises(InputError, match=words):
+        session.run(jaxnh.Reversal(transient=16, strobes=64, periods=16), rate=[1.0, 1.2])
+
+
+# ---- sets of which all is known
+
+
+def compare(points, images):
+    """How sets of lanes in the plane lie, and how many points of a lane there are."""
+    flow = first_order(drag_that_averages_to_zero, {"drag": 0.3, "rate": 0.7})
+    batch = batch_of(flow, flow.start({"x": 0.1, "v": 0.1}), np.full(len(points), 0.3), tsit5, 8, name="drag")
+    return compare_sets(batch, lanes_with_kept_programs(), points, images, np.full(len(points), 1e-9))
+
+
+def test_sets_whose_overlap_is_known():
+    """Of squares that are shifted by half of them half the points overlap; of equal ones all, of distant ones none."""
+    draws = np.random.default_rng(0)
+    points, images = draws.uniform(0.0, 1.0, (2, 64, 512, 2))
+    words = np.array(rules.SETS)
+    same = compare(points, images)
+    assert np.mean(words[rules.judge_sets(same)] == "same") >= 0.95
+    assert np.mean(same.distance <= same.error) >= 0.5  # two draws of one number: which is larger is chance
+    shifted = compare(points, images + np.array([0.5, 0.0]))
+    assert set(words[rules.judge_sets(shifted)]) == {"overlapping"}
+    low, high = binomial_interval(shifted.within, 512)
+    sizes = 1.5
+    reach = shifted.spacing * sizes  # points that far beyond the edge of the image are near it as well
+    assert np.mean((low <= 0.5 + reach) & (high >= 0.95 * 0.5)) >= 0.95
+    assert np.mean(np.abs(shifted.distance - 0.5 / sizes) <= shifted.error) >= 0.95
+    distant = compare(points, images + np.array([1.5, 0.0]))
+    assert set(words[rules.judge_sets(distant)]) == {"apart"}
+    assert np.mean(np.abs(distant.distance - 1.5 / 2.5) <= distant.error) >= 0.95
+
+
+def test_the_rule():
+    """Every cell of the table of signs and sets."""
+    sums, sets = np.meshgrid(np.arange(4), np.arange(4), indexing="ij")
+    kind = rules.judge(sums.ravel().astype(np.int8), sets.ravel().astype(np.int8)).reshape(4, 4)
+    words = np.array(rules.KINDS)[kind]
+    assert words[0].tolist() == ["dissipative", "mixed", "mixed", "undecided"]
+    assert words[1].tolist() == ["undecided", "conservative", "undecided", "undecided"]
+    assert set(words[2:].ravel()) == {"undecided"}
+
+
+def test_the_interval_of_a_share():
+    """The ends are where a binomial count as far out has a chance of 2.5 %: of 0 in n draws 1 − 0.025^(1/n)."""
+    low, high = binomial_interval(np.array([0, 50, 100]), 100)
+    assert low[0] == 0.0
+    assert high[2] == 1.0
+    np.testing.assert_allclose(high[0], 1.0 - 0.025 ** (1 / 100), rtol=1e-12)
+    np.testing.assert_allclose(low[2], 0.025 ** (1 / 100), rtol=1e-12)
+    np.testing.assert_allclose([low[1], high[1]], [binom_end(50, 100), 1.0 - binom_end(50, 100)], rtol=1e-9)
+
+
+def binom_end(count, total):
+    """The share at which so many or more have the chance 2.5 %."""
+    return brentq(lambda share: binom.sf(count - 1, total, share) - 0.025, 1e-6, 1.0 - 1e-6, xtol=1e-14)
