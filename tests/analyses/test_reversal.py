@@ -234,7 +234,9 @@ def test_sets_whose_overlap_is_known():
     assert np.mean(words[rules.judge_sets(same)] == "same") >= 0.95
     assert np.mean(same.distance <= same.error) >= 0.5  # two draws of one number: which is larger is chance
     shifted = compare(points, images + np.array([0.5, 0.0]))
-    assert set(words[rules.judge_sets(shifted)]) == {"overlapping"}
+    kinds_of_shifted = words[rules.judge_sets(shifted)]  # at the edge a share falls with the spacing, so some abstain
+    assert set(kinds_of_shifted) <= {"overlapping", "unresolved"}
+    assert np.mean(kinds_of_shifted == "overlapping") > 0.1
     low, high = binomial_interval(shifted.within, 512)
     sizes = 1.5
     reach = shifted.spacing * sizes  # points that far beyond the edge of the image are near it as well
