@@ -14,8 +14,9 @@ The rule, with σ the sum of the exponents and ε its bar of 95 %:
 - sets: samples of one set are as near to each other as the halves of the record of A are (`sets`). The sets are the
   same where that holds of A and R(A), as far as numbers of points tell; apart where no point of A is as near to R(A)
   and the distance exceeds its error; overlapping where some are, and from quarters to halves of the record their share
-  does not fall: where it does, as that of sheets close to each other, longer records may show them apart. Where the
-  record drifts on, as on a torus near a resonance, they are the same or nothing is said.
+  falls, if at all, by less than the square root of the spacing, beyond the intervals of both: that of sheets close to
+  each other falls faster, and longer records may show them apart. Where the record drifts on, as on a torus near a
+  resonance, they are the same or nothing is said.
 - conservative: sum zero, sets the same. Dissipative: sum negative, sets apart. Mixed: sum negative, sets overlapping or
   the same. Irreversible: R is no reversal with the parameters of the lane. Undecided: everything else.
 """
@@ -156,15 +157,15 @@ def judge_sum(rates: Rates, period: float) -> Int8[np.ndarray, " lanes"]:
 
 def judge_sets(sets: SetComparison) -> Int8[np.ndarray, " lanes"]:
     """Return how A and R(A) lie, a number in `SETS`."""
-    low, high = binomial_interval(sets.within, sets.points)
-    coarse, _ = binomial_interval(sets.within_coarse, sets.points)
+    low, _ = binomial_interval(sets.within, sets.points)
+    _, high = binomial_interval(sets.within_coarse, sets.points)
     least = sets.points * WITHIN - _DEVIATIONS * np.sqrt(sets.points * WITHIN * (1.0 - WITHIN))
     conditions = [
         ~(np.isfinite(sets.distance) & np.isfinite(sets.error)) | (sets.drifting & ~(sets.spacing < _FINE)),
         sets.within >= least,
         sets.drifting,
         (sets.within == 0) & (sets.distance > sets.error),
-        (low > 0.0) & (high >= coarse),
+        low * np.sqrt(sets.coarse_spacing / sets.spacing) > high,
     ]
     return np.select(conditions, [3, 1, 3, 0, 2], 3).astype(np.int8)
 

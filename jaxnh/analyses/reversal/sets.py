@@ -33,7 +33,7 @@ class SetComparison(NamedTuple):
         spacing: distance within which `WITHIN` of the points of one half have one of the other, and half of which is
             that to a neighbour in their own, (lanes,).
         within: number of points of one half that have one of the image of the other within the spacing, (lanes,).
-        within_coarse: the same number of quarters of the record against each other, (lanes,).
+        coarse_spacing, within_coarse: the same of quarters of the record against each other, (lanes,).
         drifting: whether the halves of the record are further from each other than neighbours within them, (lanes,).
         points: number of points of a lane.
     """
@@ -42,6 +42,7 @@ class SetComparison(NamedTuple):
     error: Float[np.ndarray, " lanes"]
     spacing: Float[np.ndarray, " lanes"]
     within: Int[np.ndarray, " lanes"]
+    coarse_spacing: Float[np.ndarray, " lanes"]
     within_coarse: Int[np.ndarray, " lanes"]
     drifting: Bool[np.ndarray, " lanes"]
     points: int
@@ -68,7 +69,8 @@ def compare_sets(
     drifting = across[:, 0] > _DRIFT * np.maximum(inside[:, 0], resolution)
     distance, error = np.max(of_image, axis=1), np.max(parts[:, :, 0, 1], axis=1) + resolution
     error = np.where(drifting, np.maximum(error, distance), error)
-    return SetComparison(distance, error, spacing[:, 0], *within.T, drifting, points.shape[1])
+    fine, coarse = zip(spacing.T, within.T, strict=True)
+    return SetComparison(distance, error, *fine, *coarse, drifting, points.shape[1])
 
 
 def _nearest(system: System, points: Float[Array, "n d"], images: Float[Array, "n d"]) -> Float[Array, "n 7"]:
