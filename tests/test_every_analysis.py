@@ -511,6 +511,7 @@ KINDS = {
             "branches": branches([1], "damping"),
             "curves": ONE_PARAMETER.format("damping"),
             "basins": one_attractor,
+            "reversal": "no reversal is known of quasi-velocities",
         },
         constrained_oscillators.NEEDLE,
     ),

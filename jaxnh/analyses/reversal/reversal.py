@@ -48,6 +48,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import status
+from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.reversal import describe_reversal
 
@@ -79,6 +80,8 @@ def check(options: ReversalOptions, setting: Setting) -> None:
         raise OptionError("a map is not followed backwards; a reversal is one of a flow")
     if isinstance(setting.flow, PiecewiseSmooth):
         raise OptionError("motions with jumps or switches are not followed backwards")
+    if isinstance(setting.flow, Lagrangian) and setting.flow.quasi:
+        raise OptionError("no reversal is known of quasi-velocities; write T, Q and f in velocities")
 
 
 def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
