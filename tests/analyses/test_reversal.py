@@ -249,12 +249,12 @@ def test_sets_whose_overlap_is_known():
 def test_sets_that_share_a_part():
     """Half of the points of either are in one square, the others in squares of their own: the share is a half."""
     draws = np.random.default_rng(1)
-    points, images = draws.uniform(0.0, 1.0, (2, 4, 2048, 2))
+    points, images = draws.uniform(0.0, 1.0, (2, 4, 1024, 2))
     points[:, ::2, 0] += 3.0
     images[:, ::2, 1] += 3.0
     compared = compare(points, images)
     assert np.mean(np.array(rules.SETS)[rules.judge_sets(compared)] == "overlapping") == 1.0
-    assert np.all(np.abs(compared.within / 2048 - 0.5) < 0.05)
+    assert np.all(np.abs(compared.within / 1024 - 0.5) < 0.05)
 
 
 def test_the_rule():
