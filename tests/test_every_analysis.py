@@ -459,7 +459,10 @@ KINDS = {
         | dict.fromkeys(
             ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)
         )
-        | {"verdict": words("limit_cycle")},
+        | {
+            "verdict": words("limit_cycle"),
+            "reversal": "motions with jumps or switches are not followed backwards",
+        },
         moebius.MOEBIUS_WITH_JUMPS_IN_TIME,
     ),
     "a right-hand side in time": Kind(

@@ -21,12 +21,13 @@ def test_flows_are_experiments(tmp_path, monkeypatch):
         assert experiment.sweep.lanes == 1
     swing, burst = loaded["Swing"].flow(), loaded["Burst"].flow()
     state = swing.chart.state(np.array([0.5, 0.1]))
-    np.testing.assert_allclose(np.ravel(swing.rhs(0.0, state, {"k": 2.0})), [0.1, -2.0 * np.sin(0.5)], rtol=1e-15)
-    assert float(np.ravel(burst.rhs(0.0, burst.chart.state(np.array([3.0])), {"k": 2.0}))[0]) == 18.0
+    np.testing.assert_allclose(np.ravel(swing.rhs(0.0, state, {"k": 2.0}).y), [0.1, -2.0 * np.sin(0.5)], rtol=1e-15)
+    assert float(np.ravel(burst.rhs(0.0, burst.chart.state(np.array([3.0])), {"k": 2.0}).y)[0]) == 18.0
 
 
 def test_a_run_that_is_too_long_has_no_answer(tmp_path):
-    config = write_case(tmp_path / "a", "def system():\n    while True:\n        pass\n", "system: {file: sys.py}\n")
+    system = "def system(k=1.0):\n    while True:\n        pass\n"
+    config = write_case(tmp_path / "a", system, "system: {file: sys.py}\nsweep: {k: {values: [1.0]}}\n" + REST)
     answer = run(config, tmp_path / "a.h5", tmp_path / "cache", 0.5)
     assert answer.code == 124
     assert answer.text == "no answer in 0.5 s"

@@ -101,7 +101,7 @@ def _keep_section(system: System, candidates: Reversal, p: Parameters) -> Bool[n
     count = len(candidates.instant)
     if not isinstance(system, Section):
         return np.ones(count, bool)
-    points = np.random.default_rng(1).uniform(-1.0, 1.0, (_ON_SECTION, system.chart.dimension))
+    points = jnp.asarray(np.random.default_rng(1).uniform(-1.0, 1.0, (_ON_SECTION, system.chart.dimension)))
 
     def keeps(reversal: Reversal) -> Array:
         def at(u: Array) -> tuple[Array, Array]:

@@ -104,5 +104,5 @@ def _in_time(
     total_error: Float[np.ndarray, " lanes"],
 ) -> Rates:
     order, period = np.argsort(-mean, axis=1), batch.flow.period
-    sorted_ = (np.take_along_axis(values, order, axis=1) / period for values in (mean, error))
-    return Rates(*sorted_, total / period, total_error / period)
+    mean, error = (np.take_along_axis(values, order, axis=1) / period for values in (mean, error))
+    return Rates(mean, error, total / period, total_error / period)
