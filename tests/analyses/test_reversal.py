@@ -17,6 +17,7 @@ from jaxnh.solvers import tsit5
 from jaxnh.systems.first_order import first_order
 from tests.flows.paper_equations import at_speed
 from tests.helpers.batches import batch_of
+from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs
 
 TURN = 2 * np.pi
@@ -280,3 +281,18 @@ def test_the_interval_of_a_share():
 def binom_end(count, total):
     """The share at which so many or more have the chance 2.5 %."""
     return brentq(lambda share: binom.sf(count - 1, total, share) - 0.025, 1e-6, 1.0 - 1e-6, xtol=1e-14)
+
+
+def test_steps_of_a_lanes_own_go_forward_alone(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "import jax.numpy as jnp\n\n\ndef system(rate=0.5):\n"
+        "    return {'rhs': lambda y, t: (y[1], jnp.cos(t) - rate * y[0]), 'coordinates': ('x', 'v'), 'period': 2 * jnp.pi}\n"
+    )
+    (tmp_path / "own.yaml").write_text(
+        "system: {file: own.py}\ninitial: {x: 0.3}\nsweep: {rate: {values: [0.5]}}\n"
+        "accuracy: {target: 1.0e-3, solver: adaptive_tsit5}\nanalyses: {reversal: {transient: 8}}\n"
+    )
+    run = run_here("own.yaml", "--quiet", cwd=tmp_path)
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+    assert "steps of a lane's own (adaptive_tsit5), which go forward alone" in run.stderr

@@ -47,6 +47,7 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
 from jaxnh.maps.single_precision import in_precision
+from jaxnh.solvers import AdaptiveMethod
 from jaxnh.systems.flow import status
 from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
@@ -86,7 +87,10 @@ def check(options: ReversalOptions, setting: Setting) -> None:
 
 def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
     """Choose the reversal, and how often tangents are orthonormalised, the same for all lanes of a sweep."""
-    return {"reversal": choose_reversal(batch), **lyapunov.choose(_of_exponents(options, batch), batch, lanes)}
+    reversal = choose_reversal(batch)
+    if isinstance(batch.solver, AdaptiveMethod):
+        raise OptionError(f"the flow takes steps of a lane's own ({batch.solver.name}), which go forward alone")
+    return {"reversal": reversal, **lyapunov.choose(_of_exponents(options, batch), batch, lanes)}
 
 
 def _of_exponents(options: ReversalOptions, batch: LaneBatch) -> LyapunovOptions:
