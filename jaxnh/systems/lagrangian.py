@@ -288,7 +288,10 @@ class Lagrangian(DefinedFlow):
         return Reduction(self)
 
     def nearest(self, y: Motion, p: Parameters, t: ArrayLike = 0.0) -> Motion:
-        """The state near one that is on the constraints at a time: of other velocities, by many projections."""
+        """The state near one that is on the constraints at a time: of other velocities, by many projections.
+
+        What it was off them is no drift of a step.
+        """
         zero = jnp.zeros_like(y.q[0])
         at = zero + t
 
@@ -297,7 +300,8 @@ class Lagrangian(DefinedFlow):
             moved = self.project(at, Motion(q, v, (drift, zero)), p, trust=False)
             return Motion(q, moved.v, (drift, zero))
 
-        return self.project(at, lax.fori_loop(0, _APPROACHES, again, y), p)
+        there = self.project(at, lax.fori_loop(0, _APPROACHES, again, y), p)
+        return there._replace(watch=(y.watch[0], there.watch[1]))
 
     # ---- host: start states and results
 

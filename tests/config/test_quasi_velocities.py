@@ -70,6 +70,7 @@ def test_start_off_a_norm(tmp_path):
     moved = load(tmp_path, initial="e0: 0.9, e1: 0.1, p: 0.3, project: true")
     start = moved.start({}, 2)
     assert np.abs(np.sum(np.square(start.q), axis=0) - 1).max() < 1e-15
+    assert np.all(np.asarray(start.watch[0]) == 0.0)  # what it was off is no drift of a step
 
 
 @pytest.mark.parametrize(
