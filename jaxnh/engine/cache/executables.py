@@ -33,6 +33,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from jaxnh.engine.cache import store
 from jaxnh.engine.xla_options import host, machine
+from jaxnh.systems.corners import PiecewiseField
 from jaxnh.systems.user_file import UserFile
 
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "numpy")
@@ -146,6 +147,8 @@ def _constant(value: Any) -> Iterator[str]:
         if (said := of_user_file(value)) is None:
             raise _NoNameError(value)
         yield said
+    elif isinstance(value, PiecewiseField):  # made of the definition that stands beside it
+        yield f"{_class(PiecewiseField)} {value.surfaces!r} {value.attracts.tolist()}"
     elif isinstance(value, MethodType):
         yield from (value.__func__.__qualname__, *_constant(value.__self__))
     elif isinstance(value, partial):
