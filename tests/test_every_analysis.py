@@ -390,7 +390,7 @@ KINDS = {
     ),
     "steps of a lane's own": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 160}",
-        MOEBIUS,
+        MOEBIUS | {"reversal": "the flow takes steps of a lane's own (rodas5p), which go forward alone"},
         moebius.MOEBIUS,
     ),
     "a right-hand side with jumps": Kind(
