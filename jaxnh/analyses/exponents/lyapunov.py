@@ -333,10 +333,7 @@ def _dataset(
         LANE, averaged, "length of the average", counted_in=iterate_units(batch.system)
     )
     if residual is not None:
-        what = "sum of the plain averages, at rest of the exponents"
-        other = f"mean divergence{divergence}, integrated by itself"
-        words = f"{what}, minus the {other if batch.flow.continuous else 'mean of ln |det| of the derivative'}"
-        variables["sum_rule_residual"] = variable(LANE, residual, words, **rate)
+        variables["sum_rule_residual"] = variable(LANE, residual, _sum_rule_in_words(batch, divergence), **rate)
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
             variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
@@ -345,6 +342,12 @@ def _dataset(
         of = "of the flow" if batch.flow.autonomous else of_strobes
         variables["kaplan_yorke"] = variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {of}")
     return xr.Dataset(variables, attrs=attrs)
+
+
+def _sum_rule_in_words(batch: LaneBatch, divergence: str) -> str:
+    other = f"mean divergence{divergence}, integrated by itself"
+    other = other if batch.flow.continuous else "mean of ln |det| of the derivative"
+    return f"sum of the plain averages, at rest of the exponents, minus the {other}"
 
 
 def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, " lanes"]:
