@@ -388,11 +388,11 @@ class _Lane:
     def _begin_held(self, reading: Reading, sides: Heights) -> tuple[Reading, Heights, Array]:
         """A lane at the beginning, on what holds it; its sides, and whether it is held twice."""
         passage, (t, moving) = self._passage, reading[:2]
-        found = self._system.held_sides(t, moving.state, passage.own, sides)
-        twice = jnp.sum(jnp.stack(found) == 0.0, axis=0) > 1
+        held = self._system.held_sides(t, moving.state, passage.own, sides)
+        twice = jnp.sum(jnp.stack(held) == 0.0, axis=0) > 1
         reason = jnp.where(twice, 1.0 * CODIMENSION_TWO, moving.state.reason)
         moving = moving._replace(state=moving.state._replace(reason=reason))
-        return passage.read(t, passage.bring_back(t, moving, found), found), found, twice
+        return passage.read(t, passage.bring_back(t, moving, held), held), held, twice
 
 
 def _guess(ends: tuple[Array, Array, Array, Array], low: Array, high: Array) -> Array:
