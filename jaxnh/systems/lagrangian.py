@@ -339,10 +339,10 @@ def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit |
     def look(system: Lagrangian, own: Parameters) -> float:
         equations, k = system.equations(own), len(system.names)
         if system.quasi and system.quasi.dependent:
-            found = dependent_velocities(equations, k, len(system.quasi.everything), system.quasi.dependent)
+            solved = dependent_velocities(equations, k, len(system.quasi.everything), system.quasi.dependent)
         else:
-            found = explicit_velocities(equations, k, len(system.velocities))
-        velocities.append(found)
+            solved = explicit_velocities(equations, k, len(system.velocities))
+        velocities.append(solved)
         return 0.0
 
     system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
