@@ -159,14 +159,14 @@ class PiecewiseSmooth(FirstOrder):
         self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
     ) -> tuple[Number, ...]:
         """Sides of a state, 0 where it is held, and where it leaves a surface that it is on those that it leaves to."""
-        definition, found = self.definition(p), list(sides)
+        definition, held_or_not = self.definition(p), list(sides)
         unit = definition.get("period", definition.get("time_unit", 1.0))
         for k, holds in enumerate(self.holds):
             if holds:
                 held = self.held(t, y, p, (*sides[:k], jnp.zeros_like(sides[k]), *sides[k + 1 :]))
                 there = jnp.where(held.holds, 0.0, held.leaves)
-                found[k] = jnp.where(is_on(held, y.y, unit), there, sides[k])
-        return tuple(found)
+                held_or_not[k] = jnp.where(is_on(held, y.y, unit), there, sides[k])
+        return tuple(held_or_not)
 
     @property
     def chart(self) -> PiecewiseChart:
