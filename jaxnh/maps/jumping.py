@@ -9,7 +9,7 @@ or rests on it, has the side 0, and in place of its height that of the release, 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.crossings import MOST_SHOTS, SETTLED, crossing_between, improve_share, near_turn
+from jaxnh.maps.crossings import MOST_SHOTS, SETTLED, improve_share
 from jaxnh.maps.general_flow import (
     Moving,
     lanes_per_tile,
@@ -30,8 +30,9 @@ from jaxnh.maps.general_flow import (
     stack_leaves,
     stages_in_loop,
 )
+from jaxnh.maps.passages import March, Passages, passages_within
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Heights, Reading, any_of, pick, side_from
+from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Heights, Reading, pick, side_from
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -43,48 +44,6 @@ _MOST_IMPACTS = 4096
 """The same where motions may rest on walls, which they come to by many impacts."""
 
 _BEGINS_ON_WALL = 1e-12  # of a step's way, where a period begins: a state there leaves, and does not arrive
-
-
-class _March(NamedTuple):
-    """On the way through the steps of a map.
-
-    Attributes:
-        moving: the state, with tangents and the logarithm of volume where they are asked for.
-        t: time of it.
-        step: number of the step that it is in.
-        height, rate: of walls and surfaces, and their rates; of what holds the motion its release.
-        side: +1 above, −1 below, 0 held there.
-        rounding: height below which the side is as it was.
-        stretch: length of time within which a passage is looked for.
-        share: of it that the next trial goes over.
-        low, high: part of it that has the passage, once it is seen.
-        shots: trials at it; none before it is seen.
-        sought: number of the wall or surface; one too many where the trial only ends where a height turns.
-        sure: whether both its sides have been seen.
-        settled: whether the next trial ends there.
-        again: whether another wall has been seen before the one that was sought first.
-        events: number of stops in this step.
-        lost: whether the state is not finite, or held twice.
-    """
-
-    moving: Moving
-    t: Array
-    step: Array
-    height: Heights
-    rate: Heights
-    side: Heights
-    rounding: Heights
-    stretch: Array
-    share: Array
-    low: Array
-    high: Array
-    shots: Array
-    sought: Array
-    sure: Array
-    settled: Array
-    again: Array
-    events: Array
-    lost: Array
 
 
 class JumpingStrobe(ReturnMap):
@@ -154,31 +113,6 @@ class JumpingStrobe(ReturnMap):
         return kept._replace(state=PiecewisePoint(kept.state.y, reason))
 
 
-class _Passages(NamedTuple):
-    """Passages within what a trial has gone over.
-
-    Attributes:
-        sides: +1 above, −1 below, at its end.
-        passed: whether each wall or surface is passed.
-        seen: whether one is that is looked for.
-        first: number of the first of these.
-        guess: of the share of the trial at which it is.
-        low, high: part of the trial that has it.
-        sure: whether both its sides have been seen.
-        turn: where a height first turns near zero, as a share; infinite where none does.
-    """
-
-    sides: Heights
-    passed: list[Array]
-    seen: Array
-    first: Array
-    guess: Array
-    low: Array
-    high: Array
-    sure: Array
-    turn: Array
-
-
 class _Lane:
     """The steps of one lane, of a map and the parameters of the lane.
 
@@ -196,11 +130,11 @@ class _Lane:
 
     # ---- the loop
 
-    def unfinished(self, march: _March) -> Array:
+    def unfinished(self, march: March) -> Array:
         """Return whether steps are left that can be taken."""
         return (march.step < self.strobe.steps) & ~march.lost & (march.events <= self.most_events)
 
-    def begin(self, moving: Moving, grid: Array) -> _March:
+    def begin(self, moving: Moving, grid: Array) -> March:
         """A lane at the beginning of the first step."""
         t, length, state = grid[0], grid[1] - grid[0], moving.state
         height = self._system.heights(t, state, self._passage.own)
@@ -215,7 +149,7 @@ class _Lane:
         if self._holding:
             reading, side, twice = self._begin_held(reading, side)
             lost |= twice
-        return _March(
+        return March(
             moving=reading.moving,
             t=zero + t,
             step=none,
@@ -236,11 +170,11 @@ class _Lane:
             lost=lost,
         )
 
-    def field(self, march: _March) -> PiecewisePoint:
+    def field(self, march: March) -> PiecewisePoint:
         """Time derivative of a lane's state by the branch of the field that it is in."""
         return self._system.branch(march.t, march.moving.state, self._passage.own, march.side)
 
-    def trial(self, march: _March) -> _March:
+    def trial(self, march: March) -> March:
         """Take one step: a whole one, one that locates a passage within it, or the one that ends there."""
         seeking, end = march.shots == 0, self.strobe.end_of(march.step)
         stretch = jnp.where(seeking, end - march.t, march.stretch)
@@ -251,7 +185,7 @@ class _Lane:
         if self._holding:
             ahead = self._passage.bring_back(t, ahead, march.side)
         reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
-        passages = self._passages(march, reading, h, seeking, finite)
+        passages = passages_within(march, reading, h, self._sides_of_heights(march.side), self._either, seeking, finite)
         seen, sought = passages.seen, march.sought
         pausing = ~seen & jnp.isfinite(passages.turn)
         fresh = seen | pausing  # a passage or a turn to go to
@@ -277,7 +211,7 @@ class _Lane:
         def chosen(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(moved, n, o), new, old)
 
-        return _March(
+        return March(
             moving=chosen(after.moving, march.moving),
             t=jnp.where(moved, t, march.t),
             step=jnp.where(onwards, march.step + 1, march.step),
@@ -319,38 +253,6 @@ class _Lane:
         in_loop = stages_in_loop(system, solver, len(moving.tangents) + lane.volume)
         return (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
 
-    def _passages(self, march: _March, reading: Reading, h: Array, seeking: Array, finite: Array) -> _Passages:
-        """Locate passages within what a trial of length h has gone over, and turns of heights near zero."""
-        count, before = len(march.height), self._sides_of_heights(march.side)
-        kept = [
-            jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
-            for x, r, s in zip(reading.height, march.rounding, before, strict=True)
-        ]
-        ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
-        between = [
-            crossing_between(e, side, either=either) for e, side, either in zip(ends, before, self._either, strict=True)
-        ]
-        passed = [part[3] & finite for part in between]
-        looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in range(count)]
-        checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
-        guesses = [_guess(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
-        turns = [near_turn(e, side) for e, side in zip(ends, before, strict=True)]
-        turns = [(turn, near & seeking & finite) for turn, near in turns]
-        candidates = jnp.stack([jnp.where(hit, guess, jnp.inf) for hit, guess in zip(checked, guesses, strict=True)])
-        first = jnp.argmin(candidates).astype(jnp.int32)
-        crossed = [part[0] != old for part, old in zip(between, before, strict=True)]
-        return _Passages(
-            sides=tuple(part[0] for part in between),
-            passed=passed,
-            seen=any_of(checked),
-            first=first,
-            guess=pick(first, guesses),
-            low=pick(first, [part[1] for part in between]),
-            high=pick(first, [part[2] for part in between]),
-            sure=pick(first, crossed),
-            turn=jnp.min(jnp.stack([jnp.where(near, turn, jnp.inf) for turn, near in turns])),
-        )
-
     def _sides_of_heights(self, sides: Heights) -> Heights:
         """The sides on which heights are, that of a release, which is below zero up to it, included."""
         if not self._holding:
@@ -361,7 +263,7 @@ class _Lane:
         )
 
     def _after(
-        self, march: _March, reading: Reading, passages: _Passages, arrived: Array, arrival: Arrival
+        self, march: March, reading: Reading, passages: Passages, arrived: Array, arrival: Arrival
     ) -> tuple[AfterEvent, Array]:
         """The lane after a trial, and after an event that it may have ended at; and whether it can go on."""
         if self._holding:
@@ -372,7 +274,7 @@ class _Lane:
         sound = _finite(after.moving.state)
         return after, sound & (after.moving.state.reason != CODIMENSION_TWO) if self._holding else sound
 
-    def _sides_after(self, march: _March, passages: _Passages, arrived: Array) -> Heights:
+    def _sides_after(self, march: March, passages: Passages, arrived: Array) -> Heights:
         """Sides at the end of a trial, before the event that it may end with."""
         sides = tuple(
             jnp.where(arrived & hit, old, new)
@@ -393,12 +295,6 @@ class _Lane:
         reason = jnp.where(twice, 1.0 * CODIMENSION_TWO, moving.state.reason)
         moving = moving._replace(state=moving.state._replace(reason=reason))
         return passage.read(t, passage.bring_back(t, moving, held), held), held, twice
-
-
-def _guess(ends: tuple[Array, Array, Array, Array], low: Array, high: Array) -> Array:
-    """A first guess of where a height passes zero, by the straight line, within the part that has it."""
-    straight = ends[0] / (ends[0] - ends[2])
-    return jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
 
 
 def _finite(state: PiecewisePoint) -> Array:

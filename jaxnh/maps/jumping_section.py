@@ -21,6 +21,7 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.crossings import side_of_section
 from jaxnh.maps.general_flow import Moving, lanes_per_tile, own_parameters, stages_in_loop
 from jaxnh.maps.jumping import JumpingStrobe
+from jaxnh.maps.passages import March
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.solvers import WrittenOutRungeKutta
@@ -74,7 +75,7 @@ class _Approach(NamedTuple):
         leaving: rate of the height at the crossing before.
     """
 
-    march: Any
+    march: March
     t: Array
     by_tangent: tuple[Array, ...]
     left: Array

@@ -1,0 +1,131 @@
+"""Passages of walls and surfaces within a trial of a step, and the record of a lane on its way from trial to trial.
+
+Heights and their rates at both ends of a trial say whether one has been passed, as in `crossings`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxnh.maps.crossings import crossing_between, near_turn
+from jaxnh.maps.general_flow import Moving
+from jaxnh.maps.saltation import Heights, Reading, any_of, pick
+
+
+class March(NamedTuple):
+    """On the way through the steps of a map.
+
+    Attributes:
+        moving: the state, with tangents and the logarithm of volume where they are asked for.
+        t: time of it.
+        step: number of the step that it is in.
+        height, rate: of walls and surfaces, and their rates; of what holds the motion its release.
+        side: +1 above, −1 below, 0 held there.
+        rounding: height below which the side is as it was.
+        stretch: length of time within which a passage is looked for.
+        share: of it that the next trial goes over.
+        low, high: part of it that has the passage, once it is seen.
+        shots: trials at it; none before it is seen.
+        sought: number of the wall or surface; one too many where the trial only ends where a height turns.
+        sure: whether both its sides have been seen.
+        settled: whether the next trial ends there.
+        again: whether another wall has been seen before the one that was sought first.
+        events: number of stops in this step.
+        lost: whether the state is not finite, or held twice.
+    """
+
+    moving: Moving
+    t: Array
+    step: Array
+    height: Heights
+    rate: Heights
+    side: Heights
+    rounding: Heights
+    stretch: Array
+    share: Array
+    low: Array
+    high: Array
+    shots: Array
+    sought: Array
+    sure: Array
+    settled: Array
+    again: Array
+    events: Array
+    lost: Array
+
+
+class Passages(NamedTuple):
+    """Passages within what a trial has gone over.
+
+    Attributes:
+        sides: +1 above, −1 below, at its end.
+        passed: whether each wall or surface is passed.
+        seen: whether one is that is looked for.
+        first: number of the first of these.
+        guess: of the share of the trial at which it is.
+        low, high: part of the trial that has it.
+        sure: whether both its sides have been seen.
+        turn: where a height first turns near zero, as a share; infinite where none does.
+    """
+
+    sides: Heights
+    passed: list[Array]
+    seen: Array
+    first: Array
+    guess: Array
+    low: Array
+    high: Array
+    sure: Array
+    turn: Array
+
+
+def passages_within(
+    march: March, reading: Reading, h: Array, before: Heights, either: Sequence[bool], seeking: Array, finite: Array
+) -> Passages:
+    """Locate passages within what a trial of length h has gone over, and turns of heights near zero.
+
+    Args:
+        march: before the trial.
+        reading: at its end.
+        before: side of each height at its beginning.
+        either: whether each is passed both ways.
+        seeking: whether it is a whole step, in which passages are looked for.
+        finite: whether its end is.
+    """
+    count = len(march.height)
+    kept = [
+        jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
+        for x, r, s in zip(reading.height, march.rounding, before, strict=True)
+    ]
+    ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
+    between = [crossing_between(e, side, either=both) for e, side, both in zip(ends, before, either, strict=True)]
+    passed = [part[3] & finite for part in between]
+    looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in range(count)]
+    checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
+    guesses = [_guess(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
+    turns = [near_turn(e, side) for e, side in zip(ends, before, strict=True)]
+    turns = [(turn, near & seeking & finite) for turn, near in turns]
+    candidates = jnp.stack([jnp.where(hit, guess, jnp.inf) for hit, guess in zip(checked, guesses, strict=True)])
+    first = jnp.argmin(candidates).astype(jnp.int32)
+    crossed = [part[0] != old for part, old in zip(between, before, strict=True)]
+    return Passages(
+        sides=tuple(part[0] for part in between),
+        passed=passed,
+        seen=any_of(checked),
+        first=first,
+        guess=pick(first, guesses),
+        low=pick(first, [part[1] for part in between]),
+        high=pick(first, [part[2] for part in between]),
+        sure=pick(first, crossed),
+        turn=jnp.min(jnp.stack([jnp.where(near, turn, jnp.inf) for turn, near in turns])),
+    )
+
+
+def _guess(ends: tuple[Array, Array, Array, Array], low: Array, high: Array) -> Array:
+    """A first guess of where a height passes zero, by the straight line, within the part that has it."""
+    straight = ends[0] / (ends[0] - ends[2])
+    return jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
