@@ -14,6 +14,7 @@ import xarray as xr
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.batch import LaneBatch, broadcast_start
 from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.exponents.dimension import kaplan_yorke
 from jaxnh.analyses.exponents.tangent_growth import gram_schmidt
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.periodic.newton_on_lanes import least_period
@@ -216,7 +217,7 @@ def test_gram_schmidt_is_qr():
 )
 def test_kaplan_yorke(exponents, dimension):
     """The definition, worked by hand."""
-    assert lyapunov.kaplan_yorke(np.array([exponents]))[0] == pytest.approx(dimension)
+    assert kaplan_yorke(np.array([exponents]))[0] == pytest.approx(dimension)
 
 
 def logistic(r, count=1000):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxnh.analyses.exponents.lyapunov import kaplan_yorke
+from jaxnh.analyses.exponents.dimension import kaplan_yorke
 from sweeps.studies import reference_flows
 from sweeps.studies.dysts_flows import Answer
 from sweeps.studies.reference_flows_page import page, with_error

@@ -25,6 +25,7 @@ from jaxtyping import Float, Int, Int8
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, as_variable, flag, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
+from jaxnh.analyses.exponents.dimension import kaplan_yorke
 from jaxnh.analyses.exponents.errors import (
     average_blocks,
     average_windows,
@@ -348,16 +349,6 @@ def _sum_rule_in_words(batch: LaneBatch, divergence: str) -> str:
     other = f"mean divergence{divergence}, integrated by itself"
     other = other if batch.flow.continuous else "mean of ln |det| of the derivative"
     return f"sum of the plain averages, at rest of the exponents, minus the {other}"
-
-
-def kaplan_yorke(exponents: Float[np.ndarray, "lanes k"]) -> Float[np.ndarray, " lanes"]:
-    """Return the Kaplan–Yorke dimension of descending exponents; k where their sum is not negative."""
-    total = np.cumsum(exponents, axis=1)
-    lanes, k = exponents.shape
-    whole = np.sum(total >= 0.0, axis=1)
-    before = np.where(whole > 0, total[np.arange(lanes), np.maximum(whole, 1) - 1], 0.0)
-    following = np.where(whole < k, np.abs(exponents[np.arange(lanes), np.minimum(whole, k - 1)]), 1.0)
-    return np.where(whole == k, float(k), whole + before / following)
 
 
 def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
