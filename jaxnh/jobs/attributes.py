@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnh.jobs.arrays import Attributes
-from jaxnh.jobs.job import Job
+from jaxnh.jobs.job import Job, NumericalPlan
 from jaxnh.jobs.provenance import SecondsSpent
 
 ITERATION = "iteration"
@@ -60,14 +60,7 @@ def root_attributes(
         "config_sha256": provenance.config_sha256,
         "jaxnh_version": provenance.versions["jaxnh"],
         "versions": json.dumps(libraries),
-        "solver": plan.solver,
-        "steps_per_period": plan.steps,
-        "stages": "loop" if plan.rolled else "written out",
-        "summation": "compensated" if plan.compensated else "plain",
-        "precision": precision,
-        "error_estimate": plan.error_estimate,
-        **({"sizes_of_motion": json.dumps(plan.sizes)} if plan.sizes else {}),
-        **({"error_estimate_parts": plan.parts} if plan.parts > 1 else {}),
+        **_of_plan(plan, precision),
         "wall_seconds": spent.seconds,
         "compile_seconds": spent.compile_seconds,
         "lane_periods": spent.lane_periods,
@@ -87,6 +80,19 @@ def root_attributes(
     if cutting.level:
         attrs |= {"level": cutting.level, "levels": cutting.levels, "refine": cutting.refine}
     return {**attrs, "auto_settings": json.dumps(plan.chosen)}
+
+
+def _of_plan(plan: NumericalPlan, precision: str) -> Attributes:
+    return {
+        "solver": plan.solver,
+        "steps_per_period": plan.steps,
+        "stages": "loop" if plan.rolled else "written out",
+        "summation": "compensated" if plan.compensated else "plain",
+        "precision": precision,
+        "error_estimate": plan.error_estimate,
+        **({"sizes_of_motion": json.dumps(plan.sizes)} if plan.sizes else {}),
+        **({"error_estimate_parts": plan.parts} if plan.parts > 1 else {}),
+    }
 
 
 def error_in_words(attrs: Mapping[Any, object], unit: str = "period", digits: str = ".1g") -> str:
