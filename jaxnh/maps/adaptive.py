@@ -95,27 +95,10 @@ class AdaptiveStrobe(ReturnMap):
     ) -> Pushforward:
         system, reduction, own = self.system, self.system.reduction, own_parameters(self.system, p)
         by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
-        split = time_split(system)
-
-        def rates(t: Any, y: State, own: Any) -> list[Any]:
-            def rate(z: State) -> State:
-                return split.rest(split.table(t, system), system, (z, own))
-
-            return [*jax.tree.leaves(rate(y)), *([system.divergence_of(rate, y)] if volume else [])]
+        rates = self._rates(volume)
 
         def along_tangents(change: Callable[[State, Any], State], y: Moving) -> Moving:
             return Moving(*linearise(change, y.state, own, y.tangents, by_p), y.log_volume)
-
-        def stepped(t: Any, h: Any, y: State, own: Any) -> tuple[State, State, list[Any]]:
-            """The state after a step, its error, and what the volume gains."""
-            leaves, structure = jax.tree.flatten(y)
-            made = self.solver.pair.pair_step(
-                lambda t, leaves: rates(t, jax.tree.unflatten(structure, leaves), own), t, h, leaves
-            )
-            after, error = (jax.tree.unflatten(structure, part) for part in (made.y, made.error))
-            if reduction.leaves_constraints:
-                after = system.project(t + h, after, {**p, **own})
-            return after, *lax.stop_gradient((error, made.gained))
 
         def advance(course: _Progress) -> _Progress:
             y, left = course.moving, self.length - course.t
@@ -123,7 +106,7 @@ class AdaptiveStrobe(ReturnMap):
             h = lax.stop_gradient(jnp.where(last, left, course.h))
             t = self.begin + course.t
             (after, error, gained), moved = linearise(
-                lambda z, own: stepped(t, h, z, own), y.state, own, y.tangents, by_p
+                lambda z, own: self._step(rates, t, h, z, {**p, **own}), y.state, own, y.tangents, by_p
             )
             log_volume = y.log_volume + gained[0] if volume else None
             ahead = Moving(after, tuple(dz for dz, _, _ in moved), log_volume)
@@ -164,6 +147,31 @@ class AdaptiveStrobe(ReturnMap):
         arrived = masked(moving.state, ended.t >= self.length, why)
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(moving.tangents, tangents, strict=True))
         return Pushforward(arrived, pushed, jnp.exp(moving.log_volume) if volume else jnp.ones_like(first))
+
+    def _rates(self, volume: bool) -> Callable[[Any, State, Any], list[Any]]:
+        """Rates of the state's numbers, and of the logarithm of a volume where that is asked for."""
+        system, split = self.system, time_split(self.system)
+
+        def rates(t: Any, y: State, own: Any) -> list[Any]:
+            def rate(z: State) -> State:
+                return split.rest(split.table(t, system), system, (z, own))
+
+            return [*jax.tree.leaves(rate(y)), *([system.divergence_of(rate, y)] if volume else [])]
+
+        return rates
+
+    def _step(
+        self, rates: Callable[[Any, State, Any], list[Any]], t: Any, h: Any, y: State, p: Parameters
+    ) -> tuple[State, State, list[Any]]:
+        """The state after a step, its error, and what the volume gains."""
+        system, own, (leaves, structure) = self.system, own_parameters(self.system, p), jax.tree.flatten(y)
+        made = self.solver.pair.pair_step(
+            lambda t, leaves: rates(t, jax.tree.unflatten(structure, leaves), own), t, h, leaves
+        )
+        after, error = (jax.tree.unflatten(structure, part) for part in (made.y, made.error))
+        if system.reduction.leaves_constraints:
+            after = system.project(t + h, after, p)
+        return after, *lax.stop_gradient((error, made.gained))
 
     def _share_of_tolerance(self, error: list[Array], size: list[Array], after: list[Array]) -> Array:
         """Largest error of a component in units of what it may be; infinite where something is not finite."""
