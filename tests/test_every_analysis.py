@@ -28,7 +28,7 @@ from jaxnh.maps import general_flow
 from tests.flows import constrained_oscillators, known_maps, moebius, paper_equations
 from tests.flows.moebius import TURN
 from tests.helpers import contract, taylor
-from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
+from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
 
 pytestmark = pytest.mark.usefixtures("uncalibrated")
 UNSAID = ("mu", "nu")
@@ -600,7 +600,7 @@ def session(kind):
     """A session of a kind, whose steps are loops over stages and whose tiles are small."""
     config = KINDS[kind].config.replace("FILE", str(written(kind))) + "\nanalyses: {lyapunov: {}}"
     made = session_of(Experiment.from_text(config))
-    made._lanes = lanes_with_kept_programs(None, made._lanes.devices[:1], 8)
+    made._lanes = lanes_with_kept_programs(None, made._lanes.devices[:1], 8, QUICKLY_COMPILED)
     return made
 
 

@@ -189,9 +189,10 @@ def violation(flow: Flow, reversal: Reversal, places: tuple[ArrayLike, ArrayLike
 
 def violations(flow: Flow, reversals: Reversal, p: Parameters) -> Float[np.ndarray, " reversals"]:
     """Return the largest violation of each of some reversals, whose signs and instants are (reversals,) each."""
-    places = random_places(flow)
-    each = jax.jit(jax.vmap(lambda reversal: violation(flow, reversal, places, p)))
-    return np.asarray(each(reversals))
+    return np.asarray(_violation_of_each(flow, reversals, random_places(flow), dict(p)))
+
+
+_violation_of_each = jax.jit(jax.vmap(violation, in_axes=(None, 0, None, None)))
 
 
 def sign_changes(flow: Flow) -> Reversal | None:

@@ -12,12 +12,15 @@ from jaxnh.engine.session import Session
 
 _PROGRAMS = Programs()
 
+# Compiled in a third of the time, and slower by several times: for runs so short that compiling is what takes time.
+QUICKLY_COMPILED = Programs(options={"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False})
+
 
 def lanes_with_kept_programs(
-    progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE
+    progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE, programs: Programs = _PROGRAMS
 ) -> LaneExecutor:
     """Lanes on all devices that find the programs of earlier runs in this process; their keys say all there is."""
-    return LaneExecutor(progress, devices, tile, _PROGRAMS)
+    return LaneExecutor(progress, devices, tile, programs)
 
 
 def session_of(experiment: Experiment) -> Session:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -20,14 +20,16 @@ _COMPILING = threading.Lock()  # one program at a time: JAX's cache is switched 
 class Programs:
     """Compiled programs, which several executors may share if their devices are the same."""
 
-    def __init__(self, *, kept: bool = True) -> None:
+    def __init__(self, *, kept: bool = True, options: Mapping[str, Any] | None = None) -> None:
         """Take none.
 
         Args:
             kept: whether those of earlier runs are looked for, and new ones kept.
+            options: of XLA, beside those of the process; programs with options of their own are not kept.
         """
         self._programs: dict[Any, Any] = {}
-        self._kept = kept
+        self._kept = kept and not options
+        self._options = dict(options or {})
 
     def __len__(self) -> int:
         """Number of compiled programs."""
@@ -61,7 +63,9 @@ class Programs:
             with _COMPILING:
                 began = time.perf_counter()
                 if key not in self._programs:  # by now, as another executor may have needed it
-                    self._programs[key] = _compiled(function, static, (shared, lanes), devices, kept=self._kept)
+                    self._programs[key] = _compiled(
+                        function, static, (shared, lanes), devices, self._options, kept=self._kept
+                    )
                 accounts.compile_seconds += time.perf_counter() - began
         return self._programs[key]
 
@@ -71,6 +75,7 @@ def _compiled(
     static: tuple[Any, ...],
     arguments: tuple[Any, Any],
     devices: Sequence[Any],
+    options: dict[str, Any],
     *,
     kept: bool,
 ) -> Any:
@@ -90,9 +95,9 @@ def _compiled(
     sharded = jax.shard_map(tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False)
     lowered = jax.jit(sharded).lower(*leaves)
     if kept and not name:
-        return lowered.compile()
+        return lowered.compile(options)
     with executables.compiling():
-        program = lowered.compile()
+        program = lowered.compile(options)
     if name:
         executables.keep(name, program)
     return program
