@@ -30,6 +30,11 @@ def error_components(y: State) -> State:
     return y
 
 
+def is_finite(y: State) -> np.ndarray:
+    """Return which of some states (...,) are finite, on the host."""
+    return np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(error_components(y))], axis=0)
+
+
 @functools.singledispatch
 def masked(y: State, kept: Number, reason: Number | None = None) -> State:
     """The state of a lane that is kept; of one that is not, not a number but for what it reports.

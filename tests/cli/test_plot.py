@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import xarray as xr
 from matplotlib.image import imread
 
 from jaxnh import plot
-from jaxnh.analyses.registry import GROUPS
+from jaxnh.analyses.registry import ANALYSES, GROUPS
 from jaxnh.engine.experiment import load
 from jaxnh.plotting import results as figures
 from jaxnh.plotting.descriptions import describe
@@ -63,14 +64,16 @@ def everything(tmp_path_factory):
 def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     """A run of all that go with one axis: each group names a kind of panel, and is drawn."""
     config = tmp_path / "everything.yaml"
-    config.write_text(CONFIG)
+    others = [name for name in ANALYSES if name not in OVER_TWO_AXES and f"\n  {name}: " not in CONFIG]
+    config.write_text(CONFIG + "".join(f"  {name}: {json.dumps(dict(ANALYSES[name].brief))}\n" for name in others))
     path, *_ = result("plot_everything", config)
     groups = xr.open_datatree(path, engine="h5netcdf").children
     assert set(groups) == set(GROUPS) - set(OVER_TWO_AXES)
     kinds = {kind_of(describe(name, group.to_dataset())) for name, group in groups.items()}
     assert kinds == set(PANELS) - set(OVER_TWO_AXES.values())
     drawing = figures.figure(path)
-    assert len(drawing.axes) == 4 + 10
+    # The portrait has a panel for each b, with the points of `poincare` in it; bifurcations are drawn on their branches.
+    assert len(drawing.axes) == 4 + len(groups) - len({"portrait", "poincare", "bifurcations"})
     assert len(drawing.get_supxlabel().splitlines()) == 1  # nothing is left out
     for ax in drawing.axes[:4]:
         track, dots = ax.lines

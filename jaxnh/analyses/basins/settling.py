@@ -19,7 +19,7 @@ from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.window_averages import WindowAverages, average_window, units
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import NOT_FINITE, STATUS, Flow
-from jaxnh.systems.state import State, error_components
+from jaxnh.systems.state import State, is_finite
 
 SETTLED_TO = 1e-4
 """Difference of means over both halves of a window of a lane that has settled, in sizes of the motion."""
@@ -73,7 +73,7 @@ def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, st
         *np.full((2, count, width), np.nan),
         *np.full((3, count, d), np.nan),
     )
-    absent = ~_finite(start)
+    absent = ~is_finite(start)
     records.known[absent], records.status[absent] = FAILED, STATUS.index("off_constraint")
     finite = np.flatnonzero(~absent)
     active = batch.take(finite)
@@ -158,14 +158,10 @@ def _escape(
 
 def _fail(records: LaneRecords, subset: Int[np.ndarray, " some"], flow: Flow, state: State) -> None:
     """Mark lanes whose state is not finite, with their reasons."""
-    gone = ~_finite(error_components(state))
+    gone = ~is_finite(state)
     if not np.any(gone):
         return
     ended = jax.tree.map(lambda leaf: leaf[gone][:, None], state)
     status = np.asarray(reports(flow, ended)["status"].data)
     records.known[subset[gone]] = FAILED
     records.status[subset[gone]] = np.where(status > 0, status, NOT_FINITE)
-
-
-def _finite(state: State) -> np.ndarray:
-    return np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(state)], axis=0)

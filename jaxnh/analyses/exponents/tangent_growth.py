@@ -30,7 +30,7 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.state import State, Vector
+from jaxnh.systems.state import State, Vector, is_finite
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
@@ -143,7 +143,9 @@ def average(
     strobes, parts = (strobes, 1) if quadrature else _one_part(strobes)
     shared = (strobes, quadrature, np.int32(count * parts), np.float64(begun))
     growth = lanes(advance, shared, (growth, p), periods=count, tile=tile)
-    return growth, np.stack([*growth.logs, growth.volume, growth.divergence], axis=-1) / count
+    grown = np.stack([*growth.logs, growth.volume, growth.divergence], axis=-1) / count
+    grown[~is_finite(growth.state)] = np.nan  # what fails has tangents of length zero, whose logarithm is no exponent
+    return growth, grown
 
 
 def _one_part(strobes: Maps) -> tuple[Maps, int]:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxnh.engine.accuracy.kinks import find_kink
 from jaxnh.engine.accuracy.rounding import is_rounding, last_digit
@@ -21,7 +21,7 @@ from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
 from jaxnh.engine.accuracy.sizes import coordinate_names
 from jaxnh.maps.section import Section, System
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.state import State, error_components
+from jaxnh.systems.state import State, is_finite
 
 _LONG = 4.0  # times the median return: errors have grown in it
 _STIFF = 200.0  # rates a unit of time that explicit steps of the reference do not follow
@@ -78,7 +78,7 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
     flow, times, passed, p = _motion_of(maps, sample, length)
     if why := flow.near_degeneracy(times, passed, p):
         return why
-    if not np.all(finite := _is_finite(passed)):
+    if not np.all(finite := is_finite(passed)):
         return f"the motion goes to infinity at t = {times[np.argmin(finite)]:.3g}"
     if kink := find_kink(flow, times, passed, p):
         return kink.description
@@ -125,11 +125,6 @@ def _explain_rates(maps: SampleMaps, flow: Flow, times: np.ndarray, passed: Stat
 def _stiff(flow: Flow, fastest: float) -> str:
     unit = "unit of time" if flow.autonomous else "period"
     return f"rates of change reach {fastest:.2g} a {unit}: the system is stiff"
-
-
-def _is_finite(passed: State) -> Bool[np.ndarray, " points"]:
-    """Return which states of a motion are finite."""
-    return np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(error_components(passed))], axis=0)
 
 
 def _motion_of(
