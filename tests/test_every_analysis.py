@@ -22,6 +22,7 @@ from scipy.optimize import brentq
 
 import jaxnh
 from jaxnh.analyses.registry import ANALYSES
+from jaxnh.engine.executor import programs
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow
@@ -49,6 +50,21 @@ OPTIONS = {
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
 }
+
+
+@pytest.fixture(autouse=True, scope="module")
+def lowered_for_cuda_too():
+    """Lower every program for CUDA as well, on any machine: in float64, by no call of the host or of a CPU's library."""
+
+    def lower(traced):
+        text = traced.lower(lowering_platforms=("cuda",)).as_text()
+        assert "callback" not in text
+        assert {call[:2] for call in re.findall(r"custom_call @(\w+)", text)} <= {"cu"}  # cuSOLVER and the like
+        assert not re.search(r"\b(f32|f16|bf16)\b", text)
+        return traced.lower()
+
+    with mock.patch.object(programs, "_lower", lower):
+        yield
 
 
 class Kind(NamedTuple):

@@ -93,7 +93,7 @@ def _compiled(
     mesh = Mesh(np.array(devices), ("lanes",))
     split = PartitionSpec("lanes")
     sharded = jax.shard_map(tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False)
-    lowered = jax.jit(sharded).lower(*leaves)
+    lowered = _lower(jax.jit(sharded).trace(*leaves))
     if kept and not name:
         return lowered.compile(options)
     with executables.compiling():
@@ -101,3 +101,8 @@ def _compiled(
     if name:
         executables.keep(name, program)
     return program
+
+
+def _lower(traced: Any) -> Any:
+    """Lower a traced program for the platform of its devices."""
+    return traced.lower()
