@@ -8,6 +8,8 @@ averaged over:
 - periodic: n > 0 and |μ| < 1; λ1 agrees with ln|μ|/(nT) within ε + 4/(NT), the second being what a finite average keeps
   of how the lane came to its orbit; and K < 0.5.
 - chaotic: n = 0, (λ1 − ε) NT > 2 ln N, K > 0.5, and the motion still does not repeat itself in a run ten times as long.
+- hyperchaotic: chaotic, and the second exponent passes the same test as the first (Roessler, Phys. Lett. A 71 (1979)
+  155).
 - quasiperiodic: n = 0, |λ1| ≤ ε with ε ≤ 0.005 · 2π/T, and K < 0.5, in a flow that knows the time; and smooth averages
   over four runs, one after the other, agree.
 - equilibrium, limit_cycle: of a flow without a clock, what is at rest (`equilibria.detection`), or else periodic and
@@ -30,6 +32,11 @@ which leaves out what grows like a polynomial (angles that turn on, energy that 
 
 On a section T is the mean time of a return, n counts crossings, and λ1 is the largest exponent across the flow: that
 along it is zero.
+
+Where all exponents are known `phase_volume` says if the motion keeps volume: conservative where their sum σ is zero
+within its bar ε along the whole run, be the divergence zero everywhere or on the average, and ε is small: as above, and
+of chaos also below λ1/10, so that less than a tenth of a dimension may be lost unseen (Kaplan and Yorke). Dissipative
+where σ < −ε, expanding where σ > ε.
 
 Where there is a clock, but the right-hand side is the same at all times, the strobe is no part of the motion: a limit
 cycle, whose own period the strobe does not share, looks quasiperiodic on it. If there λ1 is zero as above and λ2
@@ -63,8 +70,13 @@ from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.flow import NOT_FINITE, Flow, Parameters, status
 from jaxnh.systems.state import State
 
-KINDS = ("periodic", "quasiperiodic", "chaotic", "undecided", "failed", "equilibrium", "limit_cycle")
-"""Meanings of the flags 0 to 6."""
+KINDS = (
+    "periodic", "quasiperiodic", "chaotic", "undecided", "failed", "equilibrium", "limit_cycle", "hyperchaotic",
+)  # fmt: skip
+"""Meanings of the flags 0 to 7 of `kind`."""
+
+VOLUMES = ("unknown", "conservative", "dissipative", "expanding")
+"""Meanings of the flags 0 to 3 of `phase_volume`."""
 
 _LOOKS = 5
 _SMALL_ERROR = 0.005 * 2 * np.pi  # of an exponent a period
@@ -72,9 +84,10 @@ _SUPERSTABLE = 1e-6  # multiplier of an orbit of a map whose exponent is minus i
 _COMING = 4.0
 _LONGEST = 512  # lags that a motion may repeat itself after, and points that have to come back
 _BACK = 1e-6  # of the extent of the points
-_PERIODIC, _QUASIPERIODIC, _CHAOTIC, _UNDECIDED, _FAILED, _EQUILIBRIUM, _LIMIT_CYCLE = range(len(KINDS))
+_PERIODIC, _QUASIPERIODIC, _CHAOTIC, _UNDECIDED, _FAILED, _EQUILIBRIUM, _LIMIT_CYCLE, _HYPERCHAOTIC = range(len(KINDS))
 _RETURNS = 64  # over which the mean time of one is taken
 _LOST = -2
+_UNSEEN_LOSS = 0.1  # of a dimension of chaos
 _STEADY = 1e-5  # of the size of what averages are taken of
 _SHARE, _USUAL = 0.2, 1536  # of lanes that look chaotic, and how long their criteria took: for the expected work
 
@@ -91,6 +104,7 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
     span, n, clock = lyapunov["averaging_periods"].to_numpy(), period["period"].to_numpy(), not batch.flow.autonomous
     transient = max(int(done[name].attrs["transient"]) for name in ("period", "chaos01"))
     largest, error = (exponents[:, 0], errors[:, 0]) if clock else largest_across(exponents, errors)
+    second, second_error = second_across(exponents, errors, clock)
     each = np.full(batch.count, batch.flow.period) if clock else _return_times(batch, lanes, n, transient)
     iterates = span * (batch.flow.period / each)
     kind = judge(
@@ -124,6 +138,16 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
         taken = (span if clock else np.full(batch.count, math.ceil(iterates[chaotic].max())))[chaotic] + transient
         again[chaotic] = _recurrences(batch.take(chaotic), lanes, options.confirmation_factor * taken)
         kind[chaotic[again[chaotic] != 0]] = _UNDECIDED
+    kind[(kind == _CHAOTIC) & exceeds_shear(second, second_error, iterates, each)] = _HYPERCHAOTIC
+    volume = judge_volume(lyapunov, largest, error, each)
+    return _dataset(options, batch, done, {"kind": kind, "volume": volume, "lag": again, "unsteady": unsteady})
+
+
+def _dataset(
+    options: VerdictOptions, batch: LaneBatch, done: Mapping[str, xr.Dataset], found: Mapping[str, np.ndarray]
+) -> xr.Dataset:
+    """Return the variables of all lanes."""
+    kind = found["kind"]
     codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.options.needs], axis=0)
     codes = np.where(kind == _FAILED, np.where(codes > 0, codes, NOT_FINITE), 0)
     words = f"lag, up to {_LONGEST}, after which a lane that had looked chaotic repeats itself"
@@ -131,10 +155,11 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
     variables = {
         "kind": flag(LANE, kind, "kind of motion from all criteria together", KINDS),
         "status": as_variable(LANE, status(codes)),
+        "phase_volume": flag(LANE, found["volume"], "what becomes of phase volume along the motion", VOLUMES),
         "recurrence_lag": number_variable(
-            LANE, again, words, ("lost", "not_followed", "none"), _LOST, counted_in=iterate_units(batch.system)
+            LANE, found["lag"], words, ("lost", "not_followed", "none"), _LOST, counted_in=iterate_units(batch.system)
         ),
-        "unsteadiness": variable(LANE, unsteady, steady_words),
+        "unsteadiness": variable(LANE, found["unsteady"], steady_words),
     }
     return xr.Dataset(variables, attrs={"confirmation_factor": options.confirmation_factor})
 
@@ -152,6 +177,44 @@ def largest_across(
     none = known.all(axis=1)
     largest, error = (np.take_along_axis(values, best, axis=1)[:, 0] for values in (exponents, errors))
     return np.where(none, 0.0, largest), np.where(none, np.inf, error)
+
+
+def second_across(
+    exponents: Float[np.ndarray, "lanes k"], errors: Float[np.ndarray, "lanes k"], clock: bool
+) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
+    """Return the second largest exponent, that along the flow aside, and its error, both (lanes,).
+
+    Where it is not known it is zero, and the error infinite.
+    """
+    aside = np.zeros(exponents.shape, bool)
+    if not clock:
+        aside = (exponents == 0.0) & (errors == 0.0)
+        aside &= np.cumsum(aside, axis=1) == 1
+    counted = np.cumsum(~aside, axis=1)
+    here = ~aside & (counted == 2)
+    known, place = here.any(axis=1), np.argmax(here, axis=1)[:, None]
+    second, error = (np.take_along_axis(values, place, axis=1)[:, 0] for values in (exponents, errors))
+    return np.where(known, second, 0.0), np.where(known, error, np.inf)
+
+
+def judge_volume(
+    lyapunov: xr.Dataset,
+    largest: Float[np.ndarray, " lanes"],
+    error: Float[np.ndarray, " lanes"],
+    each: Float[np.ndarray, " lanes"] | float,
+) -> Int8[np.ndarray, " lanes"]:
+    """Return the flags of `VOLUMES`, from the sum of all exponents and the largest one across the flow.
+
+    Args:
+        lyapunov: the dataset of the lanes; without `exponent_sum` nothing is known.
+        each: time of an iterate.
+    """
+    if "exponent_sum" not in lyapunov:
+        return np.zeros(len(largest), np.int8)
+    total, bar = (lyapunov[name].to_numpy() for name in ("exponent_sum", "exponent_sum_error"))
+    small = (bar * each <= _SMALL_ERROR) & ~((largest > error) & (bar > _UNSEEN_LOSS * largest))
+    conditions = [(np.abs(total) <= bar) & small, total < -bar, (total > bar) & (total < np.inf)]
+    return np.select(conditions, [1, 2, 3], 0).astype(np.int8)
 
 
 def _return_times(

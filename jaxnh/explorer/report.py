@@ -30,6 +30,8 @@ def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
         yield from _basin(groups["basins"], groups.get("attractors"))
     if "verdict" in groups:
         yield "verdict", _flag(groups["verdict"]["kind"])
+        if int(groups["verdict"]["phase_volume"]):
+            yield "phase volume", _flag(groups["verdict"]["phase_volume"])
     if "period" in groups:
         yield from _period(groups["period"])
     if "lyapunov" in groups:

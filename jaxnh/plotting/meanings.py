@@ -14,10 +14,14 @@ FAILED = "#000000"
 NONE = "#b8b8b8"
 """Colour of lanes without a value."""
 
+HYPERCHAOTIC = "#7f2704"
+"""Colour of hyperchaos: that of chaos, darker."""
+
 _MEANINGS = {
     "periodic": BLUE,
     "quasiperiodic": ORANGE,
     "chaotic": VERMILION,
+    "hyperchaotic": HYPERCHAOTIC,
     "undecided": NONE,
     "failed": FAILED,
 }

@@ -13,7 +13,7 @@ import xarray as xr
 
 import jaxnh
 from jaxnh.analyses.base import flag, variable
-from jaxnh.analyses.exponents.lyapunov import SOURCES
+from jaxnh.analyses.exponents.estimates import SOURCES
 from jaxnh.analyses.verdict import exceeds_shear, largest_across, nearly_zero
 from jaxnh.storage import hdf5
 from jaxnh.systems.flow import STATUS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxnh
-from jaxnh.analyses.exponents.lyapunov import SOURCES
+from jaxnh.analyses.exponents.estimates import SOURCES
 from jaxnh.analyses.options.base import BLOCKS
 
 pytestmark = pytest.mark.usefixtures("uncalibrated")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses.batch import LaneBatch
-from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.exponents import estimates, lyapunov
 from jaxnh.analyses.periodic import attractor_survey
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import SPLITTINGS, dopri8
@@ -86,7 +86,7 @@ def of_orbit(scene, lanes, n, u, i):
 
 
 class Bars(NamedTuple):
-    """Exponents (bars,), their errors, what they are by a reference, and numbers in `lyapunov.SOURCES`."""
+    """Exponents (bars,), their errors, what they are by a reference, and numbers in `estimates.SOURCES`."""
 
     value: np.ndarray
     error: np.ndarray
@@ -119,7 +119,7 @@ def measured(scene, lanes, periods, truth):
 def show(battery, what, bars):
     """The row of some bars, and a note of how wide they are."""
     battery.row(f"{what}: {len(bars.value)} bars", float(bars.missed.mean()), MISSED, "share that does not cover:")
-    for number, name in enumerate(lyapunov.SOURCES):
+    for number, name in enumerate(estimates.SOURCES):
         part = bars.take(bars.source == number)
         if len(part.value):
             battery.note(

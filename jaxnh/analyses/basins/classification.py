@@ -46,7 +46,7 @@ from jaxnh.analyses.window_averages import WindowAverages, average_window, point
 from jaxnh.systems.state import State
 
 NONE = -1
-PERIODIC, QUASIPERIODIC, CHAOTIC, _, _, EQUILIBRIUM, LIMIT_CYCLE = range(len(KINDS))
+PERIODIC, QUASIPERIODIC, CHAOTIC, _, _, EQUILIBRIUM, LIMIT_CYCLE, _ = range(len(KINDS))
 
 LONGER = 16
 """The window that confirms an attractor is so many times as long as that at which a lane was done."""

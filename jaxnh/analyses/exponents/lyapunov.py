@@ -14,13 +14,13 @@ tangents are those across it, one fewer, and no section is needed.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, as_variable, flag, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs, select
@@ -35,7 +35,8 @@ from jaxnh.analyses.exponents.errors import (
     widen_to_sum_rule,
     widen_to_zero,
 )
-from jaxnh.analyses.exponents.from_orbits import OrbitExponents, early_orbits, find_orbits, no_orbits, orbit_exponents
+from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum, exponent_sum
+from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
 from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refinement_needed
 from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
@@ -52,9 +53,6 @@ from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import NOT_FINITE, status
 
-SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
-"""Meanings of the flags 0 to 3 of `exponents_method`."""
-
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
 _COMPARED = 16  # periods in which a smooth average is held against one with twice the steps
@@ -67,25 +65,6 @@ _COMMENT = (
     "twice what twice the steps change in its multipliers; of an equilibrium: "
     "twice what a last step of Newton changes in its eigenvalues, and what rounding may"
 )
-
-
-class Averages(NamedTuple):
-    """Averages of lanes.
-
-    Attributes:
-        growth: of every lane at its end.
-        rates: growth a period in every block that was run: of the flow's direction without a clock, of each tangent,
-            of volume, and of volume by quadrature, (lanes, blocks, sums).
-        smooth: smooth averages over the whole, its first and its second half, without the last sum, (lanes, 3, sums).
-        blocks: number of blocks that were run, (lanes,).
-        settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
-    """
-
-    growth: TangentState
-    rates: Float[np.ndarray, "lanes blocks sums"]
-    smooth: Float[np.ndarray, "lanes 3 sums"]
-    blocks: Int[np.ndarray, " lanes"]
-    settled: OrbitExponents
 
 
 def periods(options: LyapunovOptions, lanes: int) -> float:
@@ -188,19 +167,6 @@ def _write_lanes(whole: Any, lanes: Int[np.ndarray, " some"], part: Any) -> None
     """Write the values of a subset of lanes into those of all, in place."""
     for leaf, moved in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
         leaf[lanes] = moved
-
-
-class Spectrum(NamedTuple):
-    """Exponents a period, and their sources.
-
-    Attributes:
-        mean, error: of the flow's direction without a clock, and of each tangent, (lanes, sums).
-        source: number in `SOURCES`, (lanes,).
-    """
-
-    mean: Float[np.ndarray, "lanes sums"]
-    error: Float[np.ndarray, "lanes sums"]
-    source: Int8[np.ndarray, " lanes"]
 
 
 def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, averages: Averages, parts: int) -> Spectrum:
@@ -338,6 +304,10 @@ def _dataset(
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
             variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
+        total = exponent_sum(batch, averages, spectrum, options.transient // _ALIGNING, options.periods // BLOCKS)
+        words = "sum of all exponents, of averages by the growth of volume"
+        variables["exponent_sum"] = variable(LANE, total.mean / period, words, **rate)
+        variables["exponent_sum_error"] = variable(LANE, total.error / period, "error of the sum at 95 %", **rate)
         # Without a clock the exponent along the flow counts as well.
         of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
         of = "of the flow" if batch.flow.autonomous else of_strobes

@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.exponents.errors import average_blocks, average_windows, widen_to_zero
+from jaxnh.analyses.exponents.errors import average_blocks, widen_to_zero
+from jaxnh.analyses.exponents.estimates import SOURCES, exponent_sum, step_error
 from jaxnh.analyses.exponents.tangent_growth import average, begin
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
@@ -23,7 +24,6 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.state import State
 
 _ALIGNING = 8  # of this many parts of the transient, one turns tangents into place
-_TANGENT_ERRORS = 100.0  # times the error of a period's map: what steps may do to the growth of tangents in it
 
 
 class Rates(NamedTuple):
@@ -44,23 +44,13 @@ def of_attractor(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, 
     """Return all exponents of lanes of a flow, and their sum from the growth of volume, which scatters less."""
     averages = lyapunov.averages(options, batch, lanes, parts)
     spectrum = lyapunov.spectrum(options, batch, lanes, averages, parts)
-    mean, error, k = spectrum.mean.copy(), spectrum.error.copy(), spectrum.mean.shape[1]
-    known = np.isin(spectrum.source, [lyapunov.SOURCES.index(source) for source in ("orbit", "equilibrium")])
-    smooth = spectrum.source == lyapunov.SOURCES.index("smooth_average")
-    before, length = options.transient // _ALIGNING, options.periods // BLOCKS * BLOCKS
-    plain = average_blocks(averages.rates[:, :, k : k + 1])
-    windows = average_windows(averages.smooth[:, :, k : k + 1], before, length)
-    total, total_error = (
-        np.where(smooth, of_windows[:, 0], of_blocks[:, 0])
-        for of_windows, of_blocks in zip(windows, plain, strict=True)
-    )
-    total = np.where(known, mean.sum(axis=1), total)
-    total_error = np.where(known, error.sum(axis=1), total_error) + _step_error(batch)
+    mean, error = spectrum.mean.copy(), spectrum.error.copy()
+    total = exponent_sum(batch, averages, spectrum, options.transient // _ALIGNING, options.periods // BLOCKS)
     if batch.flow.autonomous:
-        moving = spectrum.source != lyapunov.SOURCES.index("equilibrium")
+        moving = spectrum.source != SOURCES.index("equilibrium")
         for values in (mean, error):
             values[:, 0] = np.where(moving & np.isfinite(values[:, 0]), 0.0, values[:, 0])
-    return _in_time(batch, mean, error, total, total_error)
+    return _in_time(batch, mean, error, *total)
 
 
 def of_repeller(
@@ -87,13 +77,8 @@ def of_repeller(
     if lead:
         mean[:, 0], error[:, 0] = np.where(np.isfinite(mean[:, 0]), 0.0, np.nan), 0.0
     total, total_error = (values[:, 0] for values in average_blocks(rates[:, :, lead + k : lead + k + 1]))
-    error[:, lead:] += _step_error(batch)
-    return _in_time(batch, mean, error, total, total_error + _step_error(batch))
-
-
-def _step_error(batch: LaneBatch) -> float:
-    """Return what steps may add to the growth a period."""
-    return _TANGENT_ERRORS * batch.error_estimate
+    error[:, lead:] += step_error(batch)
+    return _in_time(batch, mean, error, total, total_error + step_error(batch))
 
 
 def _in_time(

@@ -1,0 +1,77 @@
+"""Averages of growth along lanes, the spectra made of them, and the sum of all exponents. No integration."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Int8
+
+from jaxnh.analyses.batch import LaneBatch
+from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows
+from jaxnh.analyses.exponents.from_orbits import OrbitExponents
+from jaxnh.analyses.exponents.tangent_growth import TangentState
+
+SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
+"""Meanings of the flags 0 to 3 of `exponents_method`."""
+
+_TANGENT_ERRORS = 100.0  # times the error of a period's map: what steps may do to the growth of tangents in it
+
+
+class Averages(NamedTuple):
+    """Averages of lanes.
+
+    Attributes:
+        growth: of every lane at its end.
+        rates: growth a period in every block that was run: of the flow's direction without a clock, of each tangent,
+            of volume, and of volume by quadrature, (lanes, blocks, sums).
+        smooth: smooth averages over the whole, its first and its second half, without the last sum, (lanes, 3, sums).
+        blocks: number of blocks that were run, (lanes,).
+        settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
+    """
+
+    growth: TangentState
+    rates: Float[np.ndarray, "lanes blocks sums"]
+    smooth: Float[np.ndarray, "lanes 3 sums"]
+    blocks: Int[np.ndarray, " lanes"]
+    settled: OrbitExponents
+
+
+class Spectrum(NamedTuple):
+    """Exponents a period, and their sources.
+
+    Attributes:
+        mean, error: of the flow's direction without a clock, and of each tangent, (lanes, sums).
+        source: number in `SOURCES`, (lanes,).
+    """
+
+    mean: Float[np.ndarray, "lanes sums"]
+    error: Float[np.ndarray, "lanes sums"]
+    source: Int8[np.ndarray, " lanes"]
+
+
+def step_error(batch: LaneBatch) -> float:
+    """Return what steps may add to the growth a period."""
+    return _TANGENT_ERRORS * batch.error_estimate
+
+
+def exponent_sum(batch: LaneBatch, averages: Averages, spectrum: Spectrum, aligned: int, block: int) -> Average:
+    """Return the sum of all exponents a period, and its error at 95 %.
+
+    Of averages it is the growth of volume, which scatters less than each exponent; else the sum of the exponents.
+
+    Args:
+        aligned, block: periods that tangents were carried before the averages, and in a block.
+    """
+    k = spectrum.mean.shape[1]
+    total, error = spectrum.mean.sum(axis=1), spectrum.error.sum(axis=1)
+    average, smooth = (spectrum.source == SOURCES.index(name) for name in ("average", "smooth_average"))
+    for blocks in np.unique(averages.blocks[average]):
+        chosen = average & (averages.blocks == blocks)
+        plain = average_blocks(averages.rates[chosen, :blocks, k : k + 1])
+        total[chosen], error[chosen] = plain.mean[:, 0], plain.error[:, 0]
+    if np.any(smooth):
+        length = block * averages.rates.shape[1]
+        windows = average_windows(averages.smooth[smooth, :, k : k + 1], aligned, length)
+        total[smooth], error[smooth] = windows.mean[:, 0], windows.error[:, 0]
+    return Average(total, error + step_error(batch))
