@@ -18,7 +18,7 @@ from tests.helpers.paths import ROOT
 FOLDER = ROOT / "configs/nonholonomic"
 STATES = 40
 EXACT = 1e-12  # of accelerations near ten, from some hundred products
-ELSEWHERE = {"rattleback", "sleigh"}  # in test_quasi_velocities.py
+ELSEWHERE = {"rattleback", "sleigh", "nose_hoover"}  # in test_quasi_velocities.py; the last, of first order, below
 
 
 def numbers(seed, k):
@@ -121,10 +121,66 @@ def speed_in_space(t, p):
     return tuple(q), tuple(v), (*v, *(force - (force * n).sum(0) * n))
 
 
+def sleigh_with_rotor(t, p):
+    """Newton along the blade; the momentum of the turning about the blade, with that of the rotor: K̇ = -m a u w."""
+    x, y, theta, u, w = numbers(12, 5)
+    m, a = p["mass"], p["length"]
+    kicked = p["momentum"] * p["omega"] * np.cos(p["omega"] * t)
+    turn = (-m * a * u * w - kicked - p["turn_damping"] * w) / (p["inertia"] + m * a**2)
+    along = a * w**2 - p["damping"] * u / m
+    return (x, y, theta), (u, w), (u * np.cos(theta), u * np.sin(theta), w, along, turn)
+
+
+def roller_racer(t, p):
+    """Newton and Euler for both platforms, with the reactions of the wheels and of the pivot, seen from the rear one."""
+    x, y, theta, phi, u, s = numbers(13, 6)
+    a, b, c, m, n = p["pivot"], p["reach"], p["ahead"], p["mass"], p["front_mass"]
+    ca, sa, one, zero = np.cos(phi), np.sin(phi), np.ones(STATES), np.zeros(STATES)
+    long, slope = a * ca + b, (u * (ca * (a * ca + b) + a * sa**2) - s * a * b * sa) / (a * ca + b) ** 2
+    w, w_u, w_s, w_rest = (u * sa - b * s) / long, sa / long, -b / long, slope * s
+    e, across = np.array([ca, sa]), np.array([-sa, ca])  # of the front platform
+
+    def at(reach):  # accelerations of a point ahead of the rear axle: by u', by s', and what is left, (3, 2, STATES)
+        return np.array([[one, reach * w_u], [zero, reach * w_s], [-reach * w**2, u * w + reach * w_rest]])
+
+    rear, pivot = at(c), at(a)
+    front = pivot + b * np.array([w_u * across, (w_s + 1.0) * across, w_rest * across - (w + s) ** 2 * e])
+    speed = u * ca + a * w * sa
+    joint = p["torque"] * np.sin(p["omega"] * t) - p["stiffness"] * phi - p["joint_damping"] * s
+    drag_rear, drag_front = -p["damping"] * u, -p["damping"] * speed * e
+    # unknown: u', s', side force of the rear wheels, both of the pivot on the rear platform, side force in front
+    rows = [
+        ((m * rear[0, 0], m * rear[1, 0], zero, -one, zero, zero), drag_rear - m * rear[2, 0]),
+        ((m * rear[0, 1], m * rear[1, 1], -one, zero, -one, zero), -m * rear[2, 1]),
+        ((p["inertia"] * w_u, p["inertia"] * w_s, c * one, zero, (c - a) * one, zero), -joint - p["inertia"] * w_rest),
+        ((n * front[0, 0], n * front[1, 0], zero, one, zero, -across[0]), drag_front[0] - n * front[2, 0]),
+        ((n * front[0, 1], n * front[1, 1], zero, zero, one, -across[1]), drag_front[1] - n * front[2, 1]),
+        (
+            (p["front_inertia"] * w_u, p["front_inertia"] * (w_s + 1.0), zero, b * sa, -b * ca, zero),
+            joint - p["front_inertia"] * w_rest,
+        ),
+    ]
+    matrix = np.moveaxis(np.array([row for row, _ in rows]), -1, 0)
+    right = np.array([value for _, value in rows]).T[..., None]
+    faster, steered = np.linalg.solve(matrix, right)[:, :2, 0].T
+    moved = u * np.cos(theta), u * np.sin(theta), w, s
+    return (x, y, theta, phi), (u, s), (*moved, faster, steered)
+
+
+def rotators(t, p):
+    """v' = λ M⁻¹ sin q with Σ cos q v² + sin q v' = 0, from velocities on Σ sin q v = 0."""
+    q, v = numbers(14, 4), numbers(15, 4)
+    sines, mass = np.sin(q), np.array([p["inertia"], 1.0, 1.0, 1.0])[:, None]
+    v -= sines * (sines * v).sum(0) / (sines**2).sum(0)
+    push = -(np.cos(q) * v**2).sum(0) / (sines**2 / mass).sum(0)
+    return tuple(q), tuple(v), (*v, *(push * sines / mass))
+
+
 SYSTEMS = {
     system.__name__: system
     for system in (
         oscillating_mass, sleigh_in_a_valley, suslov, appell_hamel, parallel_velocities, thermostat, speed_in_space,
+        sleigh_with_rotor, roller_racer, rotators,
     )
 }  # fmt: skip
 
@@ -153,6 +209,16 @@ def test_reduced_equations(name):
     rates = jax.jit(jax.vmap(flow.rhs))(t, Motion(q, v, (zero, zero)), lanes)
     assert not np.isnan(rates.watch[1]).any()
     assert np.abs(np.array([*rates.q, *rates.v]) - np.array(exact)).max() < EXACT
+
+
+def test_equations_of_nose_and_hoover():
+    """At random states and temperatures, to rounding."""
+    q, p, friction, temperature = numbers(16, 4)
+    flow = jaxnh.load(FOLDER / "nose_hoover.yaml").flow().flow
+    states = jax.vmap(lambda *y: flow.chart.state(y))(q, p, friction)
+    rates = jax.vmap(lambda y, value: flow.rhs(0.0, y, {"temperature": value}))(states, temperature)
+    exact = np.array([p, -q - friction * p, p**2 - temperature])
+    assert np.abs(np.array(jax.tree.leaves(rates))[:3] - exact).max() < EXACT
 
 
 # ---- their motion
