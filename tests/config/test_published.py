@@ -1,0 +1,218 @@
+"""Published numbers and statements on nonholonomic systems, and what runs say of the same.
+
+Where an article gives a number or a law, that is what is compared; where it says what kind of motion there is, the kind.
+docs/validation.md lists them, with the deviations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.engine.experiment import Experiment
+from tests.helpers.kept_programs import session_of
+from tests.helpers.paths import ROOT
+
+FOLDER = ROOT / "configs/nonholonomic"
+
+
+def groups_of(config, text=None):
+    """The groups that a config asks for, its system from a text if that is given."""
+    made = Experiment.from_text(config, text) if text else Experiment.from_text(config)
+    return session_of(made).groups(dict.fromkeys(made.analyses.options()))
+
+
+def of_config(name, *changes):
+    """The groups of a config of the gallery with changes."""
+    made = jaxnh.load(FOLDER / f"{name}.yaml", list(changes))
+    return session_of(made).groups(dict.fromkeys(made.analyses.options()))
+
+
+def words(variable):
+    return jaxnh.labels(variable).to_numpy().ravel().tolist()
+
+
+ROLLING = """
+import jax.numpy as jnp
+
+def system(axle=0.5, upright=0.25, gravity=1.0):
+    def T(q, v, t):  # of a thin disk of mass and radius one; x and y are the point of contact, tilt is off the upright
+        x_dot, y_dot, psi_dot, tilt_dot, roll_dot = v
+        s, c, spin = jnp.sin(q[3]), jnp.cos(q[3]), v[4] - v[2] * jnp.sin(q[3])
+        e = jnp.cos(q[2]), jnp.sin(q[2])
+        side = -e[1], e[0]
+        x = x_dot + tilt_dot * c * side[0] - psi_dot * s * e[0]
+        y = y_dot + tilt_dot * c * side[1] - psi_dot * s * e[1]
+        turn = upright * (tilt_dot**2 + (psi_dot * c) ** 2) + axle * spin**2
+        return 0.5 * (x**2 + y**2 + (tilt_dot * s) ** 2 + turn)
+
+    def Q(q, v, t):
+        return 0.0, 0.0, 0.0, gravity * jnp.sin(q[3]), 0.0
+
+    def f(q, v, t):
+        return v[0] - v[4] * jnp.cos(q[2]), v[1] - v[4] * jnp.sin(q[2])
+
+    names = ("x", "y", "psi", "tilt", "roll")
+    return {"T": T, "Q": Q, "f": f, "coordinates": names, "angles": ("psi", "roll")}
+"""
+
+
+@pytest.mark.parametrize(("axle", "upright", "critical"), [(0.5, 0.25, 1 / 3), (1.0, 0.5, 1 / 4)])
+def test_a_disk_that_rolls_upright(axle, upright, critical):
+    """It falls below the squared rates g/3r of a thin disk and g/4r of a hoop (Routh, Advanced Rigid Dynamics, 1905).
+
+    In general λ² = (m g r A - C (C + m r²) Ω²) / (A (A + m r²)), of moments A about a diameter and C about the axle. Steps
+    of order five, 100 a unit of time, leave 1e-10; an average over 32 units has its own bar. In 64 units, at rates up to
+    0.45, rounding grows to no more than 1e-4 of a fall.
+    """
+    rates = np.sqrt(critical * np.array([0.75, 0.85, 0.95, 1.1]))
+    started = f"sweep: {{roll_dot: {{values: {(2.0 * rates).tolist()}}}}}\n"  # half of it goes to x_dot
+    config = f"system: {{file: disk.py, axle: {axle}, upright: {upright}}}\ninitial: {{project: true}}\n{started}"
+    config += "accuracy: {solver: tsit5, steps: 100}\nanalyses: {lyapunov: {transient: 32, periods: 32, exponents: 1}}"
+    data = groups_of(config, ROLLING)["lyapunov"]
+    squared = (upright - axle * (axle + 1.0) * rates**2) / (upright * (upright + 1.0))
+    ours, error = (data[name].to_numpy()[:, 0] for name in ("exponents", "exponents_error"))
+    assert np.all(np.abs(ours - np.sqrt(np.maximum(squared, 0.0))) <= error + 1e-9)
+    assert np.all((ours > error) == (squared > 0.0))
+
+
+NORMAL_FORM = """
+import jax.numpy as jnp
+
+def system(f0=0.0, f1=0.0, f2=0.0):
+    def rhs(y, t):
+        v, u = y
+        return f2 * u**2 + f1 * jnp.cos(t) * u + f0, -u * v + jnp.cos(t)
+
+    return {"rhs": rhs, "coordinates": ("v", "u"), "period": 2 * jnp.pi}
+"""
+
+
+@pytest.mark.parametrize(("name", "power", "factor"), [("f0", 1, 1.0), ("f1", 2, 1.0), ("f2", 3, 1.5)])
+def test_three_laws_of_nonholonomic_acceleration(name, power, factor):
+    """v = t^(1/k) with k = 1, 2 or 3 (Bizyaev, Bolotin and Mamaev, Chaos 31 (2021) 013132, abstract).
+
+    As u goes to cos t / v, v' has the mean f0, f1/2v or f2/2v²: v^k grows by `factor` times f a unit of time, but for what
+    is smaller by 1/v² and the oscillation, which the strobes leave out.
+    """
+    config = f"system: {{file: form.py}}\ninitial: {{v: 2.0}}\nsweep: {{{name}: {{values: [1.0, 2.0]}}}}\n"
+    config += "accuracy: {solver: dopri8, steps: 192}\nanalyses: {poincare: {transient: 0, strobes: 257}}"
+    if power == 1:  # it is stiff as it grows
+        config = config.replace("strobes: 257", "strobes: 9")
+    v = groups_of(config, NORMAL_FORM)["poincare"]["v"].to_numpy()
+    half, whole = v.shape[1] // 2, v.shape[1] - 1
+    grown = (v[:, whole] ** power - v[:, half] ** power) / ((whole - half) * 2 * np.pi)
+    assert np.abs(grown / (factor * np.array([1.0, 2.0])) - 1.0).max() < 3.0 / v[:, half].min() ** 2
+
+
+def test_a_rotor_accelerates_a_sleigh_by_the_cube_root_of_time():
+    """u^(1/3) for ever without friction (Bizyaev, Borisov, Kozlov and Mamaev, Nonlinearity 32 (2019) 3209, abstract).
+
+    u³ grows by 3 <k'²> / (m² a), but for terms smaller by (J ω / m a u)², J about the blade.
+    """
+    k = np.array([0.5, 2.0])
+    data = of_config(
+        "sleigh_with_rotor",
+        "accuracy={solver: verner9, steps: 56}",
+        "analyses.portrait=null",
+        "analyses.poincare={transient: 0, strobes: 257}",
+    )["poincare"]
+    u, mass, length, inertia = data["along"].to_numpy(), 1.0, 0.4, 0.5
+    grown = (u[:, -1] ** 3 - u[:, 128] ** 3) / (128 * 2 * np.pi)
+    law = 3.0 * 0.5 * k**2 / (mass**2 * length)
+    left = ((inertia + mass * length**2) / (mass * length * u[:, 128])) ** 2
+    assert np.all(np.abs(grown / law - 1.0) < left)
+    assert left.max() < 0.05
+
+
+def test_friction_ends_that_acceleration_on_a_limit_cycle():
+    """The same article, abstract: trajectories of the reduced system tend to a limit cycle."""
+    data = of_config(
+        "sleigh_with_rotor",
+        "accuracy={solver: verner9, steps: 56}",
+        "sweep={damping: {values: [0.05, 0.2]}}",
+        "system.turn_damping=0.1",
+        "analyses.portrait=null",
+        "analyses.poincare={transient: 512, strobes: 2}",
+    )["poincare"]
+    for name in ("along", "turn"):
+        assert np.ptp(data[name].to_numpy(), axis=1).max() < 1e-10
+    assert data["along"].to_numpy().min() > 0.5
+
+
+def test_kinds_of_motion_of_the_particle_at_constant_speed():
+    """Periods 1, 2 and 4 and chaos at b = 5.8, 2.5, 4.1 and 5.3 (figure 1 of the article)."""
+    config = "system: {constraint: constant_speed}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1}\naccuracy: {target: 1.0e-6}\n"
+    config += "sweep: {b: {values: [5.8, 2.5, 4.1, 5.3]}}\nanalyses: {period: {max_period: 16, transient: 1024}}"
+    assert groups_of(config)["period"]["period"].to_numpy().tolist() == [1, 2, 4, 0]
+
+
+@pytest.mark.slow
+def test_kinds_of_motion_of_the_disturbed_particle():
+    """Periods 1, 2 and 4 and chaos at b = 5.9, 2.5, 4.2 and 5.6 (figure 6 of the article)."""
+    config = "system: {constraint: disturbed_speed}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1}\naccuracy: {target: 1.0e-6}\n"
+    config += "sweep: {b: {values: [5.9, 2.5, 4.2, 5.6]}}\nanalyses: {verdict: {}}"
+    groups = groups_of(config)
+    assert groups["period"]["period"].to_numpy().tolist() == [1, 2, 4, 0]
+    assert words(groups["verdict"]["kind"]) == ["periodic"] * 3 + ["chaotic"]
+
+
+ROTATORS = """
+import jax.numpy as jnp
+
+N = {count}
+
+def system(level=1.0):
+    def T(q, v, t):
+        return 0.5 * sum(rate**2 for rate in v)
+
+    def Q(q, v, t):
+        return (0.0,) * N
+
+    def f(q, v, t):
+        return (sum(jnp.sin(angle) * rate for angle, rate in zip(q, v, strict=True)),)
+
+    names = tuple(f"q{{k}}" for k in range(N))
+    return {{"T": T, "Q": Q, "f": f, "coordinates": names, "angles": names}}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_rotators_have_two_positive_exponents_fewer_than_coordinates(count):
+    """One, two and three of 3, 4 and 5 rotators whose cosines sum to zero (Kuznetsov, arXiv 1810.08002, abstract)."""
+    rng = np.random.default_rng(5)
+    angles = rng.uniform(0.5, 2.6, count)
+    angles[-1] = np.arccos(-np.cos(angles[:-1]).sum() / 1.0) if abs(np.cos(angles[:-1]).sum()) < 1 else np.nan
+    rates = rng.standard_normal(count)
+    sines = np.sin(angles)
+    rates -= sines * (sines @ rates) / (sines @ sines)
+    rates *= np.sqrt(2.0 / (rates @ rates))
+    start = {f"q{k}": float(angles[k]) for k in range(count)} | {f"q{k}_dot": float(rates[k]) for k in range(count)}
+    initial = ", ".join(f"{name}: {value!r}" for name, value in start.items())
+    config = f"system: {{file: own.py}}\ninitial: {{{initial}, project: true}}\nsweep: {{level: {{values: [1.0]}}}}\n"
+    config += (
+        f"accuracy: {{target: 1.0e-8}}\nanalyses: {{lyapunov: {{transient: 64, periods: 2048, exponents: {count}}}}}"
+    )
+    data = groups_of(config, ROTATORS.format(count=count))["lyapunov"]
+    ours, error = (data[name].to_numpy()[0] for name in ("exponents", "exponents_error"))
+    positive = ours - error > 0.05
+    assert positive.sum() == count - 2
+    assert np.abs(ours[~positive]).max() < 0.01
+
+
+@pytest.mark.slow
+def test_suslov_s_top_and_the_sleigh_in_a_valley_between_conservative_and_dissipative():
+    """Conservative motion at low energies, strange attractors at higher ones.
+
+    Bizyaev, Borisov and Kazakov (2015) of the top, Kuznetsov (arXiv 1909.01130) of the sleigh, abstracts.
+    """
+    spectrum = "analyses.lyapunov={exponents: 4, periods: 4096}"
+    common = ("analyses.diagram=null", "analyses.verdict={confirmation_factor: 1}", "accuracy.target=1.0e-9", spectrum)
+    top = of_config("suslov", "sweep.energy={values: [-0.7, 0.2]}", *common)["verdict"]
+    assert words(top["phase_volume"]) == ["conservative", "dissipative"]
+    assert words(top["kind"])[0] == "quasiperiodic"
+    sleigh = of_config("sleigh_in_a_valley", "sweep.energy={values: [0.02, 1.0, 4.0]}", *common)["verdict"]
+    assert words(sleigh["phase_volume"]) == ["conservative", "dissipative", "dissipative"]
+    assert words(sleigh["kind"])[1:] == ["chaotic", "chaotic"]
