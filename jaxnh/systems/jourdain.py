@@ -16,7 +16,7 @@ matrices is ever formed, and no library is called to solve them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxnh.systems.elimination import eliminate, is_positive_definite, known, minus
+from jaxnh.systems.elimination import eliminate, is_positive_definite, known, minus, times
 from jaxnh.systems.kinematics import Kinematics
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import constants, slope
@@ -83,7 +83,7 @@ def _flat(function: Callable[[Vector, Vector, Number], Number], k: int) -> Calla
     return lambda *at: function(at[:k], at[k:-1], at[-1])
 
 
-def _along_motion(function: Callable[..., Number], at: Vector, rates: Vector) -> Number:
+def along_motion(function: Callable[..., Number], at: Vector, rates: Vector) -> Number:
     """(∂/∂q) q̇ + ∂/∂t of a function at components `at` = (q, q̇, t), or (q, u, t)."""
     k = len(rates)
     v = at[k:-1]
@@ -118,18 +118,24 @@ def constraint_slopes(equations: Equations, at: Vector, k: int) -> list[Vector]:
     return [tuple(column[i] for column in columns) for i in range(len(columns[0]))]
 
 
-def accelerations(equations: Equations, q: Vector, v: Vector, t: Number) -> Accelerations:
+def accelerations(
+    equations: Equations, q: Vector, v: Vector, t: Number, active: Sequence[Number] | None = None
+) -> Accelerations:
     """q̈ and λ at a state by one bordered solve; components of any one shape.
 
     The multipliers are those of (6): the reaction on coordinate i is Σ_j λ_j ∂f_j/∂q̇_i.
+
+    Args:
+        active: 1 for each constraint that holds and 0 for one that does not, whose multiplier is 0; None: all hold.
     """
     k, n = len(q), len(v)
     at = (*q, *v, t)
     f = constraint_functions(equations, k)
     mass, slopes = matrices(equations, at, k)
     right = applied_forces(equations, q, v, t)
-    right += [-rate for rate in (_along_motion(f, at, equations.rates(q, v, t)) if slopes else ())]
-    (solution,), smallest = eliminate(bordered_matrix(mass, slopes), [right], equations.definite_columns(mass))
+    turning = [-rate for rate in (along_motion(f, at, equations.rates(q, v, t)) if slopes else ())]
+    right += turning if active is None else [_share(w, rate) for w, rate in zip(active, turning, strict=True)]
+    (solution,), smallest = eliminate(bordered_matrix(mass, slopes, active), [right], equations.definite_columns(mass))
     solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
     return Accelerations(tuple(solution[:n]), tuple(solution[n:]), smallest <= SMALLEST_PIVOT)
 
@@ -145,7 +151,7 @@ def applied_forces(equations: Equations, q: Vector, v: Vector, t: Number) -> lis
     def parts(*at: Number) -> tuple[list[Number], ...]:
         momenta = [lambda *at, i=i: slope(energy, at, k + i) for i in range(n)]
         rates = equations.rates(at[:k], at[k:-1], at[-1])
-        inertia = [_along_motion(momentum, at, rates) for momentum in momenta]
+        inertia = [along_motion(momentum, at, rates) for momentum in momenta]
         if kinematics is None:
             return inertia, [slope(energy, at, i) for i in range(k)]
         pull = kinematics.directional_slopes(energy, at, k)
@@ -183,8 +189,18 @@ def _read(function: Callable[..., Any], at: Vector) -> Any:
     return jax.tree.unflatten(jax.tree.structure(result), values)
 
 
-def bordered_matrix(mass: list[list[Number]], slopes: list[list[Number]]) -> list[list[Number]]:
-    """[M, −Aᵀ; A, 0]."""
-    m = len(slopes)
+def bordered_matrix(
+    mass: list[list[Number]], slopes: list[list[Number]], active: Sequence[Number] | None = None
+) -> list[list[Number]]:
+    """[M, −Aᵀ; A, 0], the row and the column of a constraint that is not active being those of λ = 0."""
+    m, ends = len(slopes), [0.0] * len(slopes)
+    if active is not None:
+        slopes = [[_share(w, a) for a in row] for w, row in zip(active, slopes, strict=True)]
+        size = sum(jnp.abs(row[i]) for i, row in enumerate(mass))
+        ends = [0.0 if isinstance(w, float) and w == 1.0 else size * (1.0 - w) for w in active]
     top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]
-    return top + [[*a, *[0.0] * m] for a in slopes]
+    return top + [[*a, *(ends[j] if i == j else 0.0 for i in range(m))] for j, a in enumerate(slopes)]
+
+
+def _share(weight: Number, x: Number) -> Number:
+    return x if isinstance(weight, float) and weight == 1.0 else times(weight, x)

@@ -19,7 +19,6 @@ from jax.typing import ArrayLike
 
 from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
-from jaxnh.systems.elimination import eliminate, largest_of
 from jaxnh.systems.explicit import (
     Explicit,
     all_velocities,
@@ -29,11 +28,10 @@ from jaxnh.systems.explicit import (
     maggi_accelerations,
 )
 from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, pairs, status
+from jaxnh.systems.impulses import LARGEST_DRIFT, project_velocities
 from jaxnh.systems.jourdain import (
-    SMALLEST_PIVOT,
     Equations,
     accelerations,
-    bordered_matrix,
     constraint_functions,
     constraint_slopes,
     matrices,
@@ -45,10 +43,8 @@ from jaxnh.systems.tracing import cached_by_structure
 from jaxnh.systems.user_text import states_of
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
-_PROJECTIONS = 2  # the first leaves the square of the drift, the second its cube: rounding, for any drift worth having
 _APPROACHES = 12  # projections from a random state to one on f = 0
 _NEARLY_LOST = 0.01  # of the smallest singular value of df/dv on a motion: steps do not follow what turns there
-_LARGEST_DRIFT = 1e-9  # of f after projection, in units of |A q̇| + 1
 
 
 class ExplicitReduction(Reduction):
@@ -215,33 +211,22 @@ class Lagrangian(DefinedFlow):
     def project(self, t: ArrayLike, y: Motion, p: Parameters, *, trust: bool = True) -> Motion:
         """The state brought back to f = 0 along M⁻¹ Aᵀ, or marked as failed: not a number from there on.
 
-        Newton on the multipliers with the matrix of the state itself. The largest |f| met here is kept in `watch`.
+        The largest |f| met here is kept in `watch`.
         Without trust a state that is still off f = 0 is no failure. Norms are brought back to one before.
         """
-        equations, k, n = self.equations(p), len(y.q), len(y.v)
         q, v, (drift, reason) = y
-        f = self._state_constraints(equations)
         for residual in self._norm_residuals(q):
             drift = jnp.maximum(drift, jnp.abs(residual))
         q = self._normalised(q)
         finite = jnp.isfinite(sum(x * x for x in (*q, *v)))
         singular = jnp.isnan(reason)
         off = ~finite
-        residuals = f(*q, *v, t)
-        if residuals:
-            at = (*q, *v, t)
-            mass, slopes = matrices(equations, at, k)
-            ends = [[float(i == n + j) for i in range(n + len(slopes))] for j in range(len(slopes))]
-            ways, smallest = eliminate(bordered_matrix(mass, slopes), ends, equations.definite_columns(mass))
-            singular |= smallest <= SMALLEST_PIVOT
-            largest = largest_of(list(residuals))
-            drift = jnp.where(largest > drift, largest, drift)
-            for _ in range(_PROJECTIONS):
-                v = tuple(v[i] - sum(r * way[i] for r, way in zip(residuals, ways, strict=True)) for i in range(n))
-                residuals = f(*q, *v, t)
-            sizes = [1.0 + sum(jnp.abs(a * vi) for a, vi in zip(row, v, strict=True)) for row in slopes]
+        if self.constraints:
+            projection = project_velocities(self.equations(p), q, v, t)
+            v, singular = projection.v, singular | projection.singular
+            drift = jnp.where(projection.drift > drift, projection.drift, drift)
             if trust:
-                off = ~(largest_of([r / size for r, size in zip(residuals, sizes, strict=True)]) < _LARGEST_DRIFT)
+                off = ~(projection.left < LARGEST_DRIFT)
         code = jnp.where(off, jnp.where(finite, _OFF, _NOT_FINITE), jnp.zeros_like(drift))
         code = jnp.where(singular, _SINGULAR, code)
         reason = jnp.where(reason > 0.0, reason, code)
