@@ -17,6 +17,8 @@ from jaxnh.config.messages import join_words
 from jaxnh.config.user_system import UserInitial, UserSweep
 from jaxnh.systems.flow import STATUS, Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion
+from jaxnh.systems.state import State
+from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
 _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the digits of a config leave
 _ON_LEVEL = 1e-12  # of an integral, in units of its level + 1: a few roundings
@@ -45,6 +47,8 @@ def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: 
     levels = {name: given[name] for name in integrals if name in given}
     if len(levels) > 1:
         raise rule("velocities are scaled to the level of one integral; leave out the others", "initial.level", "sweep")
+    if isinstance(flow, SwitchedMechanics):  # a constraint that comes and goes begins where a start is off it
+        flow = flow.mechanics
     if not isinstance(flow, Lagrangian) or not (flow.constrained or levels):
         if initial.project:
             raise rule("the system has no constraints; leave it out", "initial.project")
@@ -98,13 +102,14 @@ def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.
     return residuals, ~np.all(np.abs(residuals) <= limit, axis=0)
 
 
-def admit_starts(
-    flow: Flow, start: Motion, p: Parameters, levels: Mapping[str, np.ndarray], *, project: bool
-) -> Motion:
+def admit_starts(flow: Flow, start: State, p: Parameters, levels: Mapping[str, np.ndarray], *, project: bool) -> State:
     """Start states of a mechanical system (lanes,), put on their level, those off its constraints failed.
 
     Those off the constraints are moved onto them before, if asked.
     """
+    if isinstance(flow, SwitchedMechanics):
+        motion = admit_starts(flow.mechanics, flow.as_motion(start), p, levels, project=project)
+        return flow.from_motion(motion)
     if not isinstance(flow, Lagrangian) or not (flow.constrained or levels):
         return start
     if project and flow.constrained:

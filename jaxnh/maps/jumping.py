@@ -107,10 +107,10 @@ class JumpingStrobe(ReturnMap):
         first = as_batched(lane.begin(begun, jnp.asarray(self.grid)), begun.state.y[0])
         ended = lax.while_loop(lane.unfinished, lane.trial, first)
         stuck = ended.events > lane.most_events
-        reason = ended.moving.state.reason
+        watch, reason = ended.moving.state.watch, ended.moving.state.reason
         reason = jnp.where(stuck & (reason == 0.0), 1.0 * CHATTERING, reason)
         kept = jax.tree.map(lambda x: jnp.where(stuck | ended.lost, jnp.nan, x), ended.moving)
-        return kept._replace(state=PiecewisePoint(kept.state.y, reason))
+        return kept._replace(state=PiecewisePoint(kept.state.y, reason, watch))
 
 
 class _Lane:
@@ -124,7 +124,7 @@ class _Lane:
     def __init__(self, strobe: JumpingStrobe, passage: EventPassage) -> None:
         self.strobe, self._passage = strobe, passage
         system = self._system = strobe.system
-        self._jumps, self._holding = len(system.jumps), system.loses_rank
+        self._jumps, self._holding = len(system.jumps), system.holding
         self._either = [way == "both" for way in system.jumps] + [True] * system.switches
         self.most_events = _MOST_IMPACTS if any(system.holds[: self._jumps]) else _MOST_EVENTS
 
@@ -145,7 +145,9 @@ class _Lane:
             side_from(h, r, _BEGINS_ON_WALL * jnp.abs(r) * length, sign if either else -jnp.ones_like(sign))
             for h, r, sign, either in zip(height, reading.rate, signs, self._either, strict=True)
         )
-        lost = ~_finite(state)
+        if self._system.constrained:
+            reading = self._passage.read(t, self._passage.project(t, moving, side, begin=True), side)
+        lost = ~_finite(reading.moving.state)
         if self._holding:
             reading, side, twice = self._begin_held(reading, side)
             lost |= twice
@@ -184,6 +186,8 @@ class _Lane:
         ahead = self._advance(march.t, h, march.side, march.moving)
         if self._holding:
             ahead = self._passage.bring_back(t, ahead, march.side)
+        if self._system.constrained:
+            ahead = self._passage.project(t, ahead, march.side)
         reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
         passages = passages_within(march, reading, h, self._sides_of_heights(march.side), self._either, seeking, finite)
         seen, sought = passages.seen, march.sought

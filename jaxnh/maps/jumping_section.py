@@ -50,6 +50,32 @@ class _WithSection(PiecewiseSmooth):
         """Time derivative of a state by a branch of the field of the flow."""
         return self.as_it_is.branch(t, y, p, sides[:-1])
 
+    @property
+    def constrained(self) -> bool:
+        """Return whether states are brought back to constraints after each step."""
+        return self.as_it_is.constrained
+
+    @property
+    def begins(self) -> tuple[bool, ...]:
+        """Return where constraints of the flow begin."""
+        return *self.as_it_is.begins, False
+
+    def jumped(
+        self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> PiecewisePoint:
+        """The state after a jump of the flow, or where one of its constraints has begun."""
+        return self.as_it_is.jumped(number, t, y, p, sides[:-1])
+
+    def begun(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+        """The state after the constraints of the flow have begun."""
+        return self.as_it_is.begun(t, y, p, sides[:-1])
+
+    def on_constraints(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> PiecewisePoint:
+        """The state brought back to the constraints of the flow."""
+        return self.as_it_is.on_constraints(t, y, p, sides[:-1])
+
     @jax.jit
     def held(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> HeldMotion:
         """The motion on the wall or surface whose side is 0, which the section never is."""
@@ -198,13 +224,13 @@ class JumpingSection(ReturnMap):
         why = jnp.where(march.moving.state.reason > 0.0, march.moving.state.reason, why)
         reason = jnp.where(crossed, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
         y = tuple(jnp.where(crossed, x, jnp.nan) for x in march.moving.state.y)
-        return Crossing(PiecewisePoint(y, reason), jnp.where(crossed, ended.t, jnp.nan), reason)
+        return Crossing(march.moving.state._replace(y=y, reason=reason), jnp.where(crossed, ended.t, jnp.nan), reason)
 
 
 def _with_section(section: Section) -> _WithSection:
     """The flow of a section with the section among its surfaces."""
     flow: Any = section.flow
-    parts = {field.name: getattr(flow, field.name) for field in dataclasses.fields(flow)}
+    parts = {field.name: getattr(flow, field.name) for field in dataclasses.fields(PiecewiseSmooth)}
     return _WithSection(
         **{**parts, "switches": flow.switches + 1, "holds": (*flow.holds, False)}, as_it_is=flow, section=section
     )

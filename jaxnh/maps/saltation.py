@@ -102,6 +102,7 @@ class EventPassage:
     def __init__(self, system: PiecewiseSmooth, own: Parameters, by_p: list[Any], *, volume: bool) -> None:
         self.system, self.own, self.by_p, self.volume = system, own, by_p, volume
         self._jumps = len(system.jumps)
+        self._changes = [k for k, begins in enumerate(system.begins) if begins or k < self._jumps]
 
     def read(self, t: Array, moving: Moving, sides: Heights) -> Reading:
         """Field, heights and rates of a lane that is on these sides of walls and surfaces."""
@@ -110,7 +111,7 @@ class EventPassage:
         height, rate = jax.jvp(
             lambda z, t: system.heights(t, z, self.own), (state, jnp.asarray(t)), (field, jnp.ones_like(t))
         )
-        if system.loses_rank:
+        if system.holding:
             release, change = jax.jvp(
                 lambda z, t: system.held(t, z, self.own, sides).release,
                 (state, jnp.asarray(t)), (field, jnp.ones_like(t)),
@@ -147,6 +148,23 @@ class EventPassage:
             volume = jnp.where(any_of([side == 0.0 for side in sides]), -jnp.inf, volume)
         return Moving(state, tuple(tangents), volume)
 
+    def project(self, t: Array, moving: Moving, sides: Heights, *, begin: bool = False) -> Moving:
+        """A lane on the constraints that hold on these sides; its volume is zero where one of them comes and goes.
+
+        Args:
+            begin: whether they may have begun there.
+        """
+        system = self.system
+        change = system.begun if begin else system.on_constraints
+        state, tangents = linearise(
+            lambda z, own: change(t, z, own, sides), moving.state, self.own, moving.tangents, self.by_p
+        )
+        volume = moving.log_volume
+        if self.volume and any(system.begins):
+            hold = any_of([side > 0.0 for side, begins in zip(sides, system.begins, strict=True) if begins])
+            volume = jnp.where(hold, -jnp.inf, volume)
+        return Moving(state, tangents, volume)
+
     def after_event(self, end: Reading, sides: Heights, rounding: Heights, arrival: Arrival) -> AfterEvent:
         """Follow a trial by a jump or a change of the field where there is an event; else keep the state as it is.
 
@@ -154,16 +172,16 @@ class EventPassage:
             end: of the trial.
             sides, rounding: there, before the event.
         """
-        ahead, holding = end.moving, self.system.loses_rank
+        ahead, holding = end.moving, self.system.holding
         units = self._unit_vectors(ahead.state) if self.volume and self._jumps else []
         along, by_p = [*ahead.tangents, *units], [*self.by_p, *[None] * len(units)]
         delays = self._delays(end, along, by_p, arrival)
         carried = [_added(dz, end.field, dt) for dz, dt in zip(along, delays, strict=True)]
-        after, pushed, jumps = self._jump(end, carried, delays, by_p, arrival)
+        after, pushed, jumps, begins = self._jump(end, sides, carried, delays, by_p, arrival)
 
         # Sides: those of surfaces first, which decide the field there.
-        heights = self.system.heights(end.t, after, self.own) if self._jumps else end.height
-        new_sides = self._crossed(end.height, heights, sides, arrival, jumps)
+        heights = self.system.heights(end.t, after, self.own) if self._changes else end.height
+        new_sides = self._crossed(end.height, heights, sides, arrival, jumps | begins)
         left: Heights = ()
         if holding:
             new_sides, left = self._hold(end, after, sides, new_sides, arrival, jumps)
@@ -179,7 +197,7 @@ class EventPassage:
             if units:
                 columns = [jnp.stack(dz.y) for dz in pushed[count:]]
                 growth = jnp.where(jumps, jnp.linalg.det(jnp.stack(columns, axis=-1)), growth)
-            volume = volume + jnp.log(jnp.abs(growth))
+            volume = jnp.where(begins, -jnp.inf, volume + jnp.log(jnp.abs(growth)))
         moving = Moving(after, tuple(pushed[:count]), volume)
         if holding:
             return self._on_what_holds(reading._replace(moving=moving), sides, new_sides, roundings, left, arrival)
@@ -200,21 +218,31 @@ class EventPassage:
         return [jnp.where(arrival.passes, -pick(arrival.sought, slope) / met_rate, 0.0) for slope in slopes]
 
     def _jump(
-        self, end: Reading, carried: list[PiecewisePoint], delays: list[Array], by_p: list[Any], arrival: Arrival
-    ) -> tuple[PiecewisePoint, list[PiecewisePoint], Array]:
-        """The state after, what becomes of tangents at the moment of the event, and whether it is a jump."""
+        self,
+        end: Reading,
+        sides: Heights,
+        carried: list[PiecewisePoint],
+        delays: list[Array],
+        by_p: list[Any],
+        arrival: Arrival,
+    ) -> tuple[PiecewisePoint, list[PiecewisePoint], Array, Array]:
+        """The state after, what becomes of tangents then, and whether the event is a jump, or begins a constraint."""
         system, state = self.system, end.moving.state
-        after, pushed, jumps = state, carried, jnp.bool_(False)
-        for k in range(self._jumps):
+        after, pushed, jumps, begins = state, carried, jnp.bool_(False), jnp.bool_(False)
+        for k in self._changes:
             here = arrival.at(k)
-            jumps |= here
+            if k < self._jumps:
+                jumps |= here
+            else:
+                here &= arrival.side < 0.0
+                begins |= here
             image, moved = linearise(
-                lambda at, own, k=k: system.jumped(k, at[1], at[0], own),
+                lambda at, own, k=k: system.jumped(k, at[1], at[0], own, sides),
                 (state, end.t), self.own, list(zip(carried, delays, strict=True)), by_p,
             )  # fmt: skip
             after = _select(here, image, after)
             pushed = [_select(here, new, old) for new, old in zip(moved, pushed, strict=True)]
-        return after, pushed, jumps
+        return after, pushed, jumps, begins
 
     def _crossed(self, before: Heights, after: Heights, sides: Heights, arrival: Arrival, jumps: Array) -> Heights:
         """Sides after an event, of a surface that is passed, and of what the jump has leapt over."""
@@ -246,8 +274,9 @@ class EventPassage:
         return tuple(new_sides), tuple(roundings)
 
     def _unit_vectors(self, state: PiecewisePoint) -> list[PiecewisePoint]:
-        zero, count = jnp.zeros_like(state.reason), len(state.y)
-        return [PiecewisePoint(tuple(zero + float(i == j) for i in range(count)), zero) for j in range(count)]
+        still = jax.tree.map(jnp.zeros_like, state)
+        count = len(state.y)
+        return [still._replace(y=tuple(z + float(i == j) for i, z in enumerate(still.y))) for j in range(count)]
 
     # ---- motions that are held
 
@@ -353,7 +382,7 @@ def any_of(flags: Sequence[Array]) -> Array:
 def _less(y: PiecewisePoint, direction: Sequence[Array], length: Array) -> PiecewisePoint:
     """A state, or a tangent, less so much of a direction."""
     moved = (without_rounding(x, -length * step) for x, step in zip(y.y, direction, strict=True))
-    return PiecewisePoint(tuple(moved), y.reason)
+    return y._replace(y=tuple(moved))
 
 
 def _added(dz: PiecewisePoint, field: PiecewisePoint, dt: Array) -> PiecewisePoint:

@@ -32,10 +32,12 @@ class PiecewisePoint(NamedTuple):
     Attributes:
         y: d coordinates.
         reason: why the lane has failed, else zero.
+        watch: numbers that only report, of a mechanical system.
     """
 
     y: Vector
     reason: Any
+    watch: Vector = ()
 
 
 @error_components.register
@@ -64,9 +66,24 @@ class PiecewiseSmooth(FirstOrder):
     holds: tuple[bool, ...] = eqx.field(static=True)
 
     @property
+    def holding(self) -> bool:
+        """Return whether motions may be held."""
+        return any(self.holds)
+
+    @property
     def loses_rank(self) -> bool:
         """Return whether motions may be held, where different ones become the same."""
-        return any(self.holds)
+        return self.holding
+
+    @property
+    def constrained(self) -> bool:
+        """Return whether states are brought back to constraints after each step."""
+        return False
+
+    @property
+    def begins(self) -> tuple[bool, ...]:
+        """Return for each wall and surface whether a constraint holds above it, and not below."""
+        return (False,) * (len(self.jumps) + self.switches)
 
     def heights(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
         """Heights of a state above the walls, which rise where they are passed (either way for "both"), and surfaces.
@@ -80,10 +97,27 @@ class PiecewiseSmooth(FirstOrder):
         surfaces = [switch["on"](y.y, t) for switch in definition.get("switches", ())]
         return tuple(jnp.asarray(height, jnp.float64) for height in (*walls, *surfaces))
 
-    def jumped(self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> PiecewisePoint:
-        """The state after a jump."""
+    def jumped(
+        self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> PiecewisePoint:
+        """The state after a jump, or where a constraint has begun.
+
+        Args:
+            number: of the wall or surface.
+            sides: of all of them, before.
+        """
         after = self.definition(p)["jumps"][number]["then"](tuple(y.y), t)
-        return PiecewisePoint(tuple(jnp.asarray(x, jnp.float64) for x in after), y.reason)
+        return y._replace(y=tuple(jnp.asarray(x, jnp.float64) for x in after))
+
+    def begun(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+        """The state after the constraints that hold on these sides have begun."""
+        return y
+
+    def on_constraints(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> PiecewisePoint:
+        """The state brought back to the constraints that hold on these sides."""
+        return y
 
     def rhs(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> PiecewisePoint:
         """Time derivative of a state by the branch of the field that it is in; on a surface by that above it.
@@ -94,9 +128,9 @@ class PiecewiseSmooth(FirstOrder):
 
     def sides(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
         """The side of each wall and surface that a state is on: +1 above it and on it, −1 below, 0 held there."""
-        heights = self.heights(t, y, p) if self.switches or self.loses_rank else ()
+        heights = self.heights(t, y, p) if self.switches or self.holding else ()
         sides = tuple(jnp.where(height >= 0.0, 1.0, -1.0) for height in heights)
-        return self.held_sides(t, y, p, sides) if self.loses_rank else sides
+        return self.held_sides(t, y, p, sides) if self.holding else sides
 
     def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """Time derivative of a state by a branch of the field, wherever the state is.
@@ -104,12 +138,10 @@ class PiecewiseSmooth(FirstOrder):
         Args:
             sides: +1 above, −1 below, 0 held on, of each wall and surface.
         """
-        zero = jnp.zeros_like(y.y[0])
-        if self.loses_rank:
-            return PiecewisePoint(self.held(t, y, p, sides).field, zero)
-        return PiecewisePoint(self._rates(tuple(y.y), t, p, sides), zero)
+        held = self.held(t, y, p, sides).field if self.holding else self.rates(tuple(y.y), t, p, sides)
+        return PiecewisePoint(held, jnp.zeros_like(y.y[0]), tuple(map(jnp.zeros_like, y.watch)))
 
-    def _rates(self, y: Vector, t: ArrayLike, p: Parameters, sides: tuple[Number, ...]) -> Vector:
+    def rates(self, y: Vector, t: ArrayLike, p: Parameters, sides: tuple[Number, ...]) -> Vector:
         """Rates of the coordinates by a branch, none of its sides 0."""
         rhs, zero = self.definition(p)["rhs"], jnp.zeros_like(y[0])
         rates = rhs(y, t, sides[len(self.jumps) :]) if self.switches else rhs(y, t)
@@ -133,7 +165,7 @@ class PiecewiseSmooth(FirstOrder):
             kept = tuple(
                 jnp.where(now == 0.0, side, now) if holds else now for now, holds in zip(sides, self.holds, strict=True)
             )
-            return lambda y, t: self._rates(y, t, p, kept)
+            return lambda y, t: self.rates(y, t, p, kept)
 
         walls = [k for k in range(jumps) if self.holds[k]]
         motion = free_motion(field(-1.0)(tuple(y.y), t), 2 if walls else 1)
@@ -148,7 +180,7 @@ class PiecewiseSmooth(FirstOrder):
         for k in walls:
             resting = resting_motion(
                 field(-1.0),
-                lambda y, t, k=k: self.jumped(k, t, PiecewisePoint(y, reason), p).y,
+                lambda y, t, k=k: self.jumped(k, t, PiecewisePoint(y, reason), p, sides).y,
                 lambda y, t, k=k: height(y, t)[k],
                 t, tuple(y.y),
             )  # fmt: skip

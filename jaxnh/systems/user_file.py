@@ -30,7 +30,6 @@ units={"x": "m"}. Whatever is wrong with the file is said in one line with its p
 
 from __future__ import annotations
 
-import difflib
 import functools
 import hashlib
 import inspect
@@ -53,34 +52,26 @@ from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
-from jaxnh.systems.quasi_velocities import KEYS as QUASI_KEYS
+from jaxnh.systems.switched_mechanics import switched_mechanics
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_functions import (
     EVENTS,
     FUNCTIONS,
     EventFault,
-    checked_events,
     components_of,
     functions_of,
     line_of_code,
     pointwise,
-    takes,
+    with_events,
     with_lists_of_names,
 )
-from jaxnh.systems.user_names import check_names, fault_of_count, state_sizes, states_in
+from jaxnh.systems.user_names import CLOCKS, check_keys, check_names, fault_of_count, state_sizes, states_in
 from jaxnh.systems.user_text import Names, read_text
 
-_CLOCKS = ("period", "time_unit")
-_OF_ALL = ("coordinates", "angles", "labels", "units", "reversal")
-_FIRST_ORDER = ("rhs", "jumps", "switches", *_CLOCKS, *_OF_ALL)
-_MECHANICS = ("T", "Q", "f", "ignorable", "integrals", *QUASI_KEYS, *_CLOCKS, *_OF_ALL)
-_MAP = ("map", *_OF_ALL[:-1])
 _OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a number a coordinate, or a constraint
-_ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "rates": "(q, u, t)", **dict.fromkeys("TQf", "(q, v, t)")}  # of functions
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
 _ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
-_OWN_KEYS = {"map": _MAP, "rhs": _FIRST_ORDER}  # of a system that returns one of these
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
 _RETURNED = {
     "T": "a number",
@@ -172,40 +163,22 @@ class UserFile:
             )
             raise self._fault(line, message)
         definition = with_lists_of_names(said)
-        main, known = next(((key, keys) for key, keys in _OWN_KEYS.items() if key in definition), ("T", _MECHANICS))
-        for name in definition:
-            if name not in known:
-                raise self._fault(line, _unknown(str(name), main, known))
-        for name in (*(("T", "Q") if main == "T" else (main,)), "coordinates"):
-            if name not in definition:
-                other = ", or a right-hand side rhs, or a map" if name == "T" else ""
-                raise self._fault(line, f"system must also return {name}{other}")
-        for name, arguments in _ARGUMENTS.items():
-            if definition.get(name) is not None and not callable(definition[name]):
-                raise self._fault(line, f"{name} must be a function of {arguments}")
-        definition |= {kind: self._events(kind, definition[kind]) for kind in EVENTS if kind in definition}
-        if definition.get("switches") and not takes(definition["rhs"], 3):
-            message = "with switches rhs is a function of (y, t, side); side has +1.0 or -1.0 for each switch"
-            raise self._fault(line_of_code(definition["rhs"], line), message)
         try:
+            main = check_keys(definition)
+            definition = with_events(definition, main)
             check_names(definition, tuple(inspect.signature(self._define).parameters))
+        except EventFault as fault:
+            raise self._fault(fault.line or line, str(fault)) from None
         except InputError as error:
             raise self._fault(line, str(error)) from None
-        if all(name in definition for name in _CLOCKS):
+        if all(name in definition for name in CLOCKS):
             raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
-        for name in _CLOCKS:
+        for name in CLOCKS:
             length = definition.get(name, 1.0)
             if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
         made = {key: components_of(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
         return {key: pointwise(one) if key in FUNCTIONS and one else one for key, one in made.items()}
-
-    def _events(self, kind: str, given: Any) -> tuple[Mapping[str, Any], ...]:
-        """The jumps or switches of a definition, checked."""
-        try:
-            return checked_events(kind, given)
-        except EventFault as fault:
-            raise self._fault(fault.line or self._define.__code__.co_firstlineno, str(fault)) from None
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
@@ -223,9 +196,10 @@ class UserFile:
         """
         self._check_period(parameters)
         define = self.define if self.mechanical or self.discrete else self._with_switches
-        eventful = any(define(**parameters).get(kind) for kind in EVENTS)
+        eventful = any(define(**parameters).get(kind) for kind in (*EVENTS, "constraints"))
         of_points = piecewise_smooth if eventful else first_order
-        made = lagrangian if self.mechanical else discrete_map if self.discrete else of_points
+        of_mechanics = switched_mechanics if eventful else lagrangian
+        made = of_mechanics if self.mechanical else discrete_map if self.discrete else of_points
         try:
             flow = made(define, parameters, of_lanes)
         except UserFileError:
@@ -252,7 +226,7 @@ class UserFile:
 
         def rates(t: Any, states: Any) -> list[Any]:
             results = [function(*map(tuple, states), t) for function in functions.values()]
-            return [jnp.stack(list(each) if isinstance(each, tuple | list) else [each]) for each in results]
+            return [jnp.stack(jax.tree.leaves(each)) for each in results]
 
         with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
             now, later = self._guarded(lambda: jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)))(t, states))
@@ -303,7 +277,7 @@ class UserFile:
         for name in ("rates", "T", "Q", "f") if "rates" in definition else ("T", "Q", "f"):
 
             def evaluate(p: Mapping[str, Any], t: Any, q: Any, v: Any, name: str = name) -> Any:
-                function = self.define(**p).get(name)
+                function = functions_of(self.define(**p)).get(name)
                 result = () if function is None else function(q, v, t)
                 return self._numbers(name, (result,) if name == "T" else result)
 
@@ -313,7 +287,7 @@ class UserFile:
                 raise self._fault(self._line_of(name), f"{name} must return {_RETURNED[name]}")
             if fault := fault_of_count(definition, name, len(leaves)):
                 raise self._fault(self._line_of(name), fault)
-        return uses_time
+        return self._try_events(sizes) or uses_time
 
     def _try_point(self, name: str) -> bool:
         """Trace a right-hand side, or a map, likewise."""
@@ -328,25 +302,34 @@ class UserFile:
             raise self._fault(line, f"{name} must return {_RETURNED[name]}")
         if len(leaves) != d:
             raise self._fault(line, f"{name} must return {d} numbers, one a coordinate, not {len(leaves)}")
-        return self._try_events() or uses_time
+        return self._try_events((d,)) or uses_time
 
-    def _try_events(self) -> bool:
-        """Trace the functions of jumps and switches likewise."""
-        uses_time, d = False, len(self.coordinates)
-        functions = functions_of(self.define(**self.parameters))
+    def _try_events(self, sizes: Sequence[int]) -> bool:
+        """Trace the functions of jumps, switches and constraints that come and go likewise."""
+        uses_time, functions = False, functions_of(self.define(**self.parameters))
         for name in [name for name in functions if "." in name]:
+            wanted = self._returned(name)
 
-            def evaluate(p: Mapping[str, Any], t: Any, y: Any, name: str = name) -> Any:
-                result = functions_of(self.define(**p))[name](y, t)
+            def evaluate(p: Mapping[str, Any], t: Any, *at: Any, name: str = name, wanted: str = wanted) -> Any:
+                result = functions_of(self.define(**p))[name](*at, t)
+                if self.mechanical and name.endswith(".then"):
+                    if not isinstance(result, tuple | list) or [len(tuple(side)) for side in result] != [*sizes]:
+                        raise self._fault(self._line_of(name), f"{name} must return {wanted}")
+                    result = [x for side in result for x in side]
                 return self._numbers(name, result if isinstance(result, tuple | list) else (result,))
 
-            leaves, timed = self._traced(evaluate, (d,))
+            leaves, timed = self._traced(evaluate, sizes)
             uses_time |= timed
-            wanted = "a number a coordinate" if name.endswith(".then") else "a number"
-            count = d if name.endswith(".then") else 1
-            if any(leaf.shape for leaf in leaves) or len(leaves) != count:
+            many, count = name.endswith(".constraint"), sum(sizes) if name.endswith(".then") else 1
+            if any(leaf.shape for leaf in leaves) or not (leaves if many else len(leaves) == count):
                 raise self._fault(self._line_of(name), f"{name} must return {wanted}")
         return uses_time
+
+    def _returned(self, name: str) -> str:
+        """Describe what a function of a definition must return."""
+        if name.endswith(".then"):
+            return "(q, v), the coordinates and the velocities after" if self.mechanical else "a number a coordinate"
+        return _RETURNED.get(name, "a number")
 
     def _traced(self, evaluate: Callable[..., Any], sizes: Sequence[int]) -> tuple[list[Any], bool]:
         """Shapes of what a function of (parameters, t, vectors of sizes) returns, and whether t has a part in it."""
@@ -360,8 +343,7 @@ class UserFile:
         """Convert a function's result to arrays."""
         if any(value is None or isinstance(value, str | Mapping | tuple | list) for value in values):
             nothing = ", and returns nothing" if values[0] is None else ""
-            wanted = _RETURNED.get(name) or ("a number a coordinate" if name.endswith(".then") else "a number")
-            raise self._fault(self._line_of(name), f"{name} must return {wanted}{nothing}")
+            raise self._fault(self._line_of(name), f"{name} must return {self._returned(name)}{nothing}")
         return tuple(jnp.asarray(value) for value in values)
 
     def _line_of(self, name: str) -> int:
@@ -380,17 +362,3 @@ class UserFile:
 
     def _fault(self, line: int, message: str) -> UserFileError:
         return UserFileError(f"{self.path}:{line}: {message}")
-
-
-def _unknown(name: str, main: str, known: Sequence[str]) -> str:
-    """Describe what is wrong with a key of a definition whose main one, as rhs, is another."""
-    if main == "map" and name in _CLOCKS:
-        return f"a map has no {name}: lengths of time are counted in its iterates; leave it out"
-    if name in EVENTS:
-        advice = "write T and Q as one" if main == "T" else "write the jump into the image"
-        return f"{name} go with a right-hand side rhs; {advice}, or leave {name} out"
-    if name in (*FUNCTIONS, *_MECHANICS):
-        return f"system returns {main} and {name!r}; a system is a right-hand side, or T and Q, or a map"
-    close = difflib.get_close_matches(name, known, n=1)
-    meant = f" (did you mean {close[0]}?)" if close else ""
-    return f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"

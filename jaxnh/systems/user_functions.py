@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -26,9 +26,12 @@ EVENTS = {"jumps": ("when", "direction", "then"), "switches": ("on",)}
 _FLAGS = {"jumps": "rest", "switches": "sliding"}
 """A key more of these, True or False: whether motions may rest on a wall, or slide along a surface."""
 
+_ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "rates": "(q, u, t)", **dict.fromkeys("TQf", "(q, v, t)")}
+
 _EXAMPLES = {
     "jumps": 'jumps=[{"when": wall, "direction": "up", "then": bounce}]',
     "switches": 'switches=[{"on": surface}]',
+    "f": 'f=[{"constraint": blade, "when": lowered}]',
 }
 
 
@@ -44,40 +47,104 @@ class EventFault(Exception):
         self.line = line
 
 
-def checked_events(kind: str, given: Any) -> tuple[Mapping[str, Any], ...]:
-    """The jumps or switches of a definition, with functions that see the numbers of one state.
+def with_events(definition: Mapping[str, Any], main: str) -> dict[str, Any]:
+    """The definition with its jumps, switches and constraints checked, and functions of these that see one state.
+
+    Constraints of a list that come and go become `constraints`, the others one function `f`.
+
+    Args:
+        definition: its main key is one of its functions.
+        main: that key: rhs, T or map.
 
     Raises:
-        EventFault: they are none, in words.
+        EventFault: they are none, or a function is no function, in words.
     """
+    arguments, made = ("q", "v", "t") if main == "T" else ("y", "t"), dict(definition)
+    if isinstance(made.get("f"), tuple | list):
+        made |= _listed_constraints(made["f"])
+    for name, takes_what in _ARGUMENTS.items():
+        if made.get(name) is not None and not callable(made[name]):
+            raise EventFault(f"{name} must be a function of {takes_what}")
+    made |= {kind: _checked_events(kind, definition[kind], arguments) for kind in EVENTS if kind in definition}
+    forces = "Q" if main == "T" else "rhs"
+    if made.get("switches") and not takes(made[forces], len(arguments) + 1):
+        signature = f"({', '.join(arguments)}, side)"
+        message = f"with switches {forces} is a function of {signature}; side has +1.0 or -1.0 for each switch"
+        raise EventFault(message, line_of_code(made[forces], 0))
+    return made
+
+
+def _listed_constraints(given: Sequence[Any]) -> dict[str, Any]:
+    """The constraints of a list: f, those that hold at all times, and those that come and go."""
+    permanent, switched = list[Callable[..., Any]](), list[Mapping[str, Any]]()
+    for number, each in enumerate(given):
+        where = f"f[{number}]"
+        if not isinstance(each, Mapping):
+            if not callable(each) or not takes(each, 3):
+                message = f"{where} must be a function of (q, v, t), or a mapping, as in {_EXAMPLES['f']}"
+                raise EventFault(message, line_of_code(each, 0))
+            permanent.append(components_of(each))
+            continue
+        _check_known(where, each, ("constraint", "when"))
+        parts = {key: _event_function("f", where, key, each, ("q", "v", "t")) for key in ("constraint", "when")}
+        switched.append({**parts, "name": where})
+
+    def f(q: Any, v: Any, t: Any) -> tuple[Any, ...]:
+        return tuple(x for each in permanent for x in each(q, v, t))
+
+    if permanent:
+        f.__wrapped__ = permanent[0]  # pyright: ignore[reportFunctionMemberAccess]
+    return {"f": f if permanent else None, "constraints": tuple(switched)}
+
+
+def _checked_events(kind: str, given: Any, arguments: Sequence[str]) -> tuple[Mapping[str, Any], ...]:
     if not isinstance(given, tuple | list) or not all(isinstance(event, Mapping) for event in given):
         raise EventFault(f"{kind} must be a list of mappings, as in {_EXAMPLES[kind]}")
-    return tuple(_checked_event(kind, f"{kind}[{number}]", event) for number, event in enumerate(given))
+    return tuple(_checked_event(kind, f"{kind}[{number}]", event, arguments) for number, event in enumerate(given))
 
 
-def _checked_event(kind: str, where: str, given: Mapping[str, Any]) -> Mapping[str, Any]:
+def _checked_event(kind: str, where: str, given: Mapping[str, Any], arguments: Sequence[str]) -> Mapping[str, Any]:
     needed, flag = EVENTS[kind], _FLAGS[kind]
-    known = (*needed, flag)
+    impact = kind == "jumps" and len(arguments) == 3
+    _check_known(where, given, (*needed, *(["restitution"] if impact else []), flag))
+    event = {"direction": "up", **given} if kind == "jumps" else dict(given)
+    if not isinstance(event.get(flag, False), bool):
+        raise EventFault(f"{where}.{flag} must be True or False, not {event[flag]!r}")
+    if "restitution" in event:
+        if "then" in event:
+            raise EventFault(f"{where} has then and restitution, which exclude each other")
+        if isinstance(event["restitution"], bool | str) or callable(event["restitution"]):
+            raise EventFault(f"{where}.restitution must be a number: speed after an impact over that before it")
+        needed = tuple(key for key in needed if key != "then")
+    for key in needed:
+        if key == "direction":
+            if event[key] not in DIRECTIONS:
+                words = ", ".join(DIRECTIONS)
+                raise EventFault(f"{where}.direction must be one of {words}, not {event[key]!r}")
+        else:
+            event[key] = _event_function(kind, where, key, event, arguments)
+    return event
+
+
+def _check_known(where: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
     for key in given:
         if key not in known:
             close = difflib.get_close_matches(str(key), known, n=1)
             meant = f" (did you mean {close[0]}?)" if close else ""
             raise EventFault(f"{where} has {key!r}, which is unknown{meant}; known are {', '.join(known)}")
-    event = {"direction": "up", **given} if kind == "jumps" else dict(given)
-    if not isinstance(event.get(flag, False), bool):
-        raise EventFault(f"{where}.{flag} must be True or False, not {event[flag]!r}")
-    for key in needed:
-        if key not in event:
-            raise EventFault(f"{where} must also have {key}, as in {_EXAMPLES[kind]}")
-        if key == "direction":
-            if event[key] not in DIRECTIONS:
-                words = ", ".join(DIRECTIONS)
-                raise EventFault(f"{where}.direction must be one of {words}, not {event[key]!r}")
-        elif not callable(event[key]) or not takes(event[key], 2):
-            raise EventFault(f"{where}.{key} must be a function of (y, t)", line_of_code(event[key], 0))
-        else:
-            event[key] = pointwise(components_of(event[key]) if key == "then" else event[key])
-    return event
+
+
+def _event_function(
+    kind: str, where: str, key: str, event: Mapping[str, Any], arguments: Sequence[str]
+) -> Callable[..., Any]:
+    """A function of an event that sees the numbers of one state."""
+    if key not in event:
+        raise EventFault(f"{where} must also have {key}, as in {_EXAMPLES[kind]}")
+    function = event[key]
+    if not callable(function) or not takes(function, len(arguments)):
+        raise EventFault(f"{where}.{key} must be a function of ({', '.join(arguments)})", line_of_code(function, 0))
+    vector = key == "constraint" or (key == "then" and len(arguments) == 2)
+    return pointwise(components_of(function) if vector else function)
 
 
 def functions_of(definition: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
@@ -85,15 +152,18 @@ def functions_of(definition: Mapping[str, Any]) -> dict[str, Callable[..., Any]]
     functions = {name: definition[name] for name in FUNCTIONS if definition.get(name) is not None}
     switches = definition.get("switches", ())
     if switches:
+        name = "rhs" if "rhs" in definition else "Q"
 
-        @functools.wraps(definition["rhs"])
-        def rhs(y: Any, t: Any) -> Any:
-            return definition["rhs"](y, t, tuple(jnp.where(each["on"](y, t) >= 0.0, 1.0, -1.0) for each in switches))
+        @functools.wraps(definition[name])
+        def by_side(*at: Any) -> Any:
+            return definition[name](*at, tuple(jnp.where(each["on"](*at) >= 0.0, 1.0, -1.0) for each in switches))
 
-        functions["rhs"] = rhs
+        functions[name] = by_side
     for kind, keys in EVENTS.items():
         for number, event in enumerate(definition.get(kind, ())):
-            functions |= {f"{kind}[{number}].{key}": event[key] for key in keys if key != "direction"}
+            functions |= {f"{kind}[{number}].{key}": event[key] for key in keys if key != "direction" and key in event}
+    for each in definition.get("constraints", ()):
+        functions |= {f"{each['name']}.{key}": each[key] for key in ("constraint", "when")}
     return functions
 
 

@@ -5,14 +5,54 @@ What is wrong is said in one line, to which the caller adds the place.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxnh.exceptions import InputError
 from jaxnh.systems.quasi_velocities import KEYS
+from jaxnh.systems.user_functions import EVENTS, FUNCTIONS
 from jaxnh.systems.user_text import BESIDE_STATES, OF_RESULTS, can_be_states, states_of
 
+CLOCKS = ("period", "time_unit")
+"""Keys of a definition that say what lengths of time are counted in."""
+
+_OF_ALL = ("coordinates", "angles", "labels", "units", "reversal")
+_FIRST_ORDER = ("rhs", *EVENTS, *CLOCKS, *_OF_ALL)
+_MECHANICS = ("T", "Q", "f", "ignorable", "integrals", *EVENTS, *KEYS, *CLOCKS, *_OF_ALL)
+_MAP = ("map", *_OF_ALL[:-1])
+_OWN_KEYS = {"map": _MAP, "rhs": _FIRST_ORDER}  # of a system that returns one of these
 _AS_IN = {"labels": "displacement", "units": "m"}
+
+
+def check_keys(definition: Mapping[str, Any]) -> str:
+    """Check that the keys of a definition go together, and return the main one: rhs, T or map.
+
+    Raises:
+        InputError: one does not, or is unknown, or one is missing.
+    """
+    main, known = next(((key, keys) for key, keys in _OWN_KEYS.items() if key in definition), ("T", _MECHANICS))
+    for name in definition:
+        if name not in known:
+            raise InputError(_describe_unknown(str(name), main, known))
+    for name in (*(("T", "Q") if main == "T" else (main,)), "coordinates"):
+        if name not in definition:
+            other = ", or a right-hand side rhs, or a map" if name == "T" else ""
+            raise InputError(f"system must also return {name}{other}")
+    return main
+
+
+def _describe_unknown(name: str, main: str, known: Sequence[str]) -> str:
+    """Describe what is wrong with a key of a definition whose main one, as rhs, is another."""
+    if main == "map" and name in CLOCKS:
+        return f"a map has no {name}: lengths of time are counted in its iterates; leave it out"
+    if name in EVENTS:
+        return f"{name} go with a flow; write the jump into the image, or leave {name} out"
+    if name in (*FUNCTIONS, *_MECHANICS):
+        return f"system returns {main} and {name!r}; a system is a right-hand side, or T and Q, or a map"
+    close = difflib.get_close_matches(name, known, n=1)
+    meant = f" (did you mean {close[0]}?)" if close else ""
+    return f"system returns {name!r}, which is unknown{meant}; known are {', '.join(known)}"
 
 
 def states_in(definition: Mapping[str, Any]) -> tuple[str, ...]:
