@@ -115,6 +115,24 @@ def follows(rates, names, angle=False, even=False):
     return check
 
 
+def clamped_follows(data, _):
+    """The last sample or strobe follows from the first, which is one."""
+    x, v, values = lanes_of(data, "x", "x_dot")
+    for lane in range(0, len(x), 3):
+        span = times_of(data, lane, TURN, x.shape[1])
+        known = constrained_oscillators.clamped(*span, (x[lane, 0], v[lane, 0]), values["mu"][lane])
+        assert np.abs(known - (x[lane, -1], v[lane, -1])).max() < 20 * CLOSE
+
+
+def clamped_exponents(data, _):
+    """One is −∞, exactly, and the other mu/2 where the motion comes to rest; elsewhere it is that of two periods."""
+    ours, error, values = lanes_of(data, "exponents", "exponents_error")
+    rest = values["mu"] < 0
+    assert np.all(np.isneginf(ours[:, 1]) & (error[:, 1] == 0))
+    assert np.all(np.abs(ours[rest, 0] - values["mu"][rest] / 2) < error[rest, 0] + CLOSE)
+    assert np.all(ours[~rest, 0] < 0)
+
+
 def iterates_of(image, names):
     """Every strobe follows from the one before by a map written anew, to rounding."""
 
@@ -533,6 +551,16 @@ KINDS = {
             "reversal": "no reversal is known of quasi-velocities",
         },
         constrained_oscillators.NEEDLE,
+    ),
+    "T, Q, f with a constraint that comes and goes": Kind(
+        "system: {file: FILE}\ninitial: {x: 0.3}\nsweep: {mu: {start: -0.28, stop: 0.28, count: 6}}\n" + STEPS,
+        MOEBIUS
+        | dict.fromkeys(("portrait", "poincare", "diagram"), clamped_follows)
+        | {
+            "lyapunov": clamped_exponents,
+            "reversal": "motions with jumps or switches are not followed backwards",
+        },
+        constrained_oscillators.CLAMPED,
     ),
     "T, Q, f without a clock": Kind(
         "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: 0.05}\nsweep: {mu: {start: 0.1, stop: 0.3, count: 4}}\n"

@@ -11,11 +11,11 @@ from jaxnh.exceptions import UserFileError
 
 OF_RESULTS = (
     "lane", "strobe", "time", "start", "exponent", "level", "attractor", "period", "kind", "status", "residual",
-    "multiplier", "transverse", "drift", "computed",
+    "multiplier", "transverse", "drift", "energy_lost", "computed",
 )  # fmt: skip
 """Variables and dimensions of results, which no axis of a sweep can be called."""
 
-BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "status")
+BESIDE_STATES = ("t", "lane", "strobe", "time", "start", "drift", "energy_lost", "status")
 """Variables of results that no state can be called."""
 
 

@@ -82,7 +82,7 @@ FAULTS = {
     "a choice": (("return y[0] + 1.0", "return y[0] + 1.0 if y[0] > 0 else y[0]"), ":14: if cannot decide by"),
     "no period of a wall": (("        return y[0]\n", "        return y[0] - 0.1 * jnp.sin(1.3 * t)\n"), ":7: 3.14159265 is no period of jumps[0].when: at one state"),
     "no period of a jump": (("-r * y[1]", "-r * y[1] + 0.1 * jnp.sin(1.3 * t)"), ":10: 3.14159265 is no period of jumps[0].then: at one state number 2 of jumps[0].then"),
-    "mechanics": (('"rhs": rhs', '"T": wall, "Q": bounce'), ":3: jumps go with a right-hand side rhs; write T and Q as one, or leave jumps out"),
+    "mechanics": (('"rhs": rhs', '"T": wall, "Q": bounce'), ":7: jumps[0].when must be a function of (q, v, t)"),
 }  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 SLIDE = """\
 import jax.numpy as jnp
@@ -60,6 +61,25 @@ def system(drive=0.2, damping=0.2, slope=0.5):
     return {"T": T, "Q": Q, "f": f, "rates": rates, "structure_constants": constants, "period": 2 * jnp.pi, **names}
 """
 
+CLAMPED = """\
+import jax.numpy as jnp
+
+def system(mu=0.1):
+    def T(q, v, t):
+        return 0.5 * v[0] ** 2
+
+    def Q(q, v, t):
+        return -(1.0 + mu**2) * q[0] + 2.0 * mu * v[0] - v[0] ** 3
+
+    def clamp(q, v, t):
+        return v[0]
+
+    def closed(q, v, t):  # in the second half of a period
+        return -jnp.sin(t)
+
+    return {"T": T, "Q": Q, "f": [{"constraint": clamp, "when": closed}], "coordinates": "x", "period": 2 * jnp.pi}
+"""
+
 
 def slide(t, y, drive=0.5, damping=0.2, rate=0.5, level=0.1):
     """Rates of (x, x', y)."""
@@ -74,3 +94,19 @@ def cycle(t, y, mu=0.5, slope=0.5):
 def needle(t, y, drive=0.2, damping=0.2):
     """Rates of (cos, sin, rate) of an angle."""
     return np.array([-y[1] * y[2], y[0] * y[2], -2 * y[1] - 2 * damping * y[2] + drive * np.cos(t)])
+
+
+def clamped(t0, t1, y, mu):
+    """(x, x') at t1 from that at t0, a multiple of 2π: free for half a period, then held where it is.
+
+    The half period takes x to −exp(π mu) x near 0, where two periods become one orbit at mu = 0.
+    """
+    y = np.array(y, float)
+    while t1 - t0 > 1e-9:
+        free = min(t1 - t0, np.pi)
+        rates = lambda t, y: np.array([y[1], -(1 + mu**2) * y[0] + 2 * mu * y[1] - y[1] ** 3])  # noqa: E731
+        y = solve_ivp(rates, (0.0, free), y, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+        if t1 - t0 > np.pi + 1e-9:
+            y[1] = 0.0
+        t0 += 2 * np.pi
+    return y

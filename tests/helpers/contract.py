@@ -18,6 +18,7 @@ _OF_TIME = {
     "volume_residual",
     "t",
     "drift",
+    "energy_lost",
 }
 _OF_PARAMETER = {"first", "last", "begin", "end", "limit", "crisis", "doubling", "spacing"}
 WITHOUT_LANES = ("doubling", "windows", "branches", "bifurcations", "curves", "codimension_two", "attractors")
