@@ -553,7 +553,7 @@ KINDS = {
         constrained_oscillators.NEEDLE,
     ),
     "T, Q, f with a constraint that comes and goes": Kind(
-        "system: {file: FILE}\ninitial: {x: 0.3}\nsweep: {mu: {start: -0.28, stop: 0.28, count: 6}}\n" + STEPS,
+        "system: {file: FILE}\ninitial: {x: 0.3}\nsweep: {mu: {start: -0.36, stop: 0.36, count: 4}}\n" + STEPS,
         MOEBIUS
         | dict.fromkeys(("portrait", "poincare", "diagram"), clamped_follows)
         | {
