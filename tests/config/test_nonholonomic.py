@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.maps.build import make_return_map
+from jaxnh.solvers import dopri8
+from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.user_file import UserFile
 from tests.helpers.commands import run_here
@@ -18,7 +21,7 @@ from tests.helpers.paths import ROOT
 FOLDER = ROOT / "configs/nonholonomic"
 STATES = 40
 EXACT = 1e-12  # of accelerations near ten, from some hundred products
-ELSEWHERE = {"rattleback", "sleigh", "nose_hoover"}  # in test_quasi_velocities.py; the last, of first order, below
+ELSEWHERE = {"rattleback", "sleigh", "nose_hoover", "switched_sleigh"}  # in test_quasi_velocities.py, and below
 
 
 def numbers(seed, k):
@@ -221,6 +224,45 @@ def test_equations_of_nose_and_hoover():
     assert np.abs(np.array(jax.tree.leaves(rates))[:3] - exact).max() < EXACT
 
 
+def three_feet(state, p):
+    """(along, across, turn) a period after the strobe, which is half an interval after a foot has come down.
+
+    The edge makes a sleigh of Chaplygin's whose centre of mass is `ahead` of it: with the velocity s of the centre along
+    the edge and the rate w of turning, s' = a w², w' = -(m a / J) s w with J = I + m a², so that at the energy E
+    s = √(2E/m) tanh(k t + c), w = √(2E/J) / cosh(k t + c), k = a √(2E m)/ J.
+    """
+    u, v, w = state
+    m, feet = p["mass"], p["ahead"] + p["radius"] * np.exp(2j * np.pi * (np.arange(5) - 2) / 3)
+    foot = 0.0  # the first edge is at the centre of mass, along its velocity
+    for number, share in ((None, 0.5), (2, 1.0), (3, 1.0), (4, 0.5)):
+        if number is not None:
+            foot = feet[number]
+        edge = np.exp(1j * np.angle(u + 1j * v + 1j * w * foot))
+        ahead = -(foot * edge.conjugate()).real if number is not None else 0.0
+        s, J = (u * edge.real + v * edge.imag), p["inertia"] + m * ahead**2
+        energy = 0.5 * (m * s**2 + J * w**2)
+        k = ahead * np.sqrt(2 * energy * m) / J
+        phase = np.arctanh(s / np.sqrt(2 * energy / m)) + k * share * p["interval"]
+        s, w = np.sqrt(2 * energy / m) * np.tanh(phase), np.copysign(np.sqrt(2 * energy / J), w) / np.cosh(phase)
+        u, v = (s * edge.real - w * ahead * edge.imag), (s * edge.imag + w * ahead * edge.real)
+    return u, v, w
+
+
+def test_three_feet():
+    """A period of the sleigh whose constraint jumps from foot to foot, in closed form; and its energy."""
+    p = {"mass": 1.3, "inertia": 0.9, "radius": 0.8, "ahead": 0.2, "interval": 1.1}
+    flow = UserFile(FOLDER / "switched_sleigh.py").flow(p)
+    names = dict.fromkeys((*flow.coordinates,), 0.0)
+    states = [(1.0, 0.0, 0.5), (0.6, 0.0, -1.2), (0.2, 0.0, 0.9)]
+    starts = [flow.start({**names, "along": u, "across": v, "turn": w}) for u, v, w in states]
+    strobe = make_return_map(flow, in_loop(dopri8), 30)
+    together = jax.tree.map(lambda *leaves: np.stack(leaves), *starts)
+    after = jax.jit(jax.vmap(lambda y: strobe(y, {})))(together)
+    ours = np.stack([np.asarray(x) for x in after.y[-3:]], axis=-1)
+    assert ours == pytest.approx(np.array([three_feet(state, p) for state in states]), abs=1e-11)
+    assert np.abs(np.asarray(after.watch[1])).max() < 1e-14
+
+
 # ---- their motion
 
 SMALL = {
@@ -269,7 +311,12 @@ def energy_of_parallel_velocities(data):
     return 0.5 * (u**2 + v**2) + r**2 + s**2 + 0.5 * springs
 
 
+def energy_on_three_feet(data):
+    return 0.5 * (data["along"] ** 2 + data["across"] ** 2 + 1.4 * data["turn"] ** 2)
+
+
 ENERGIES = {
+    "switched_sleigh": energy_on_three_feet,
     "sleigh_in_a_valley": energy_in_a_valley,
     "suslov": energy_of_suslov,
     "parallel_velocities": energy_of_parallel_velocities,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -71,7 +73,7 @@ def period(kind, y, a=0.3, drive=1.0, **height):
         event = lambda t, y: when(t, y)  # noqa: E731
         event.terminal, event.direction = True, -1.0 if down else 1.0
         path = solve_ivp(
-            lambda t, y: rates(t, y, a, drive, down), (t, TURN), y, "DOP853", rtol=1e-13, atol=1e-14, events=event,
+            functools.partial(rates, a=a, drive=drive, down=down), (t, TURN), y, "DOP853", rtol=1e-13, atol=1e-14, events=event,
             max_step=0.05,
         )  # fmt: skip
         t, y = path.t[-1], path.y[:, -1]

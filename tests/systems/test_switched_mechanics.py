@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import jaxnh
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Tangent
@@ -74,7 +73,9 @@ def test_derivatives_of_a_blade_that_comes_and_goes(kind):
         column = slope(lambda e, j=j: switched_sleighs.period(kind, whole(kind, u + e * np.eye(len(u))[j]))[0])
         assert np.abs(np.asarray(d.monodromy)[:, j] - column).max() < 1e-7
     for j, name in enumerate(own):
-        column = slope(lambda e, name=name: switched_sleighs.period(kind, whole(kind, u), **{**own, name: own[name] + e})[0])
+        column = slope(
+            lambda e, name=name: switched_sleighs.period(kind, whole(kind, u), **{**own, name: own[name] + e})[0]
+        )
         assert np.abs(np.asarray(d.by_parameter)[:, j] - column).max() < 1e-7
 
 
