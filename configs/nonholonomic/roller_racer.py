@@ -25,7 +25,9 @@ def system(
         forth, aside = front(q, u)
         return 0.5 * (rear + front_mass * (forth**2 + aside**2) + front_inertia * (turn + steer) ** 2)
 
-    def Q(q, u, t):  # friction of both pairs of wheels along their platforms; a spring, friction and torque at the pivot
+    def Q(
+        q, u, t
+    ):  # friction of both pairs of wheels along their platforms; a spring, friction and torque at the pivot
         c, s, drag = jnp.cos(q[3]), jnp.sin(q[3]), -damping * front(q, u)[0]
         joint = torque * jnp.sin(omega * t) - stiffness * q[3] - joint_damping * u[3]
         return -damping * u[0] + drag * c, drag * s, drag * pivot * s, joint

@@ -27,7 +27,7 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import check_output
 from jaxnh.engine.plan import calibrate, in_quickest_form, job_of, plan_of, work_of
 from jaxnh.engine.result_attributes import attributes
-from jaxnh.engine.xla_options import configure
+from jaxnh.engine.xla_options import configure, devices_of
 from jaxnh.exceptions import ArgumentError, InputError, ResultError
 from jaxnh.plotting import costs as figures_cost
 from jaxnh.plotting.style import save
@@ -136,7 +136,7 @@ def _bench(experiment: Experiment, began: float) -> PricedExperiment:
         AccuracyError: nothing meets the accuracy asked for.
     """
     configure()
-    lanes, axes = LaneExecutor(progress(Console(stderr=True))), experiment.axes
+    lanes, axes = LaneExecutor(progress(Console(stderr=True)), devices_of(experiment)), experiment.axes
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         calibration = calibrate(experiment, axes, lanes)
         plan = plan_of(experiment, axes, calibration, experiment.requested())

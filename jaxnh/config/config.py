@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
@@ -46,6 +46,9 @@ class Config(Block):
     )
     accuracy: Accuracy = Field(default=Accuracy(), description="Error allowed, or solver and steps")
     analyses: Analyses = Field(description="Analyses to run: name of each to its options")
+    device: Literal["cpu", "gpu"] | None = Field(
+        default=None, description="Kind of device that computes; by default the one that JAX prefers here"
+    )
     compare: dict[str, PublishedValues] | None = Field(
         default=None, description="Published values to show beside ours: name of the analysis to source and numbers"
     )
@@ -98,6 +101,12 @@ class Config(Block):
         keys += [("sweep", name) for name in grids]
         counts = " x ".join(f"{grid.size:,}" for grid in grids.values())
         return self._source.error(self._source.blame(keys), f"{counts} are {self.sweep.lanes:,} lanes{would}")
+
+    def missing_device(self, there: str) -> ConfigError:
+        """Return the error of a kind of device that JAX does not find, which finds others."""
+        return self._source.error(
+            ("device",), f"JAX finds no {self.device} here, but {there}; leave it out, or install JAX for it"
+        )
 
     # ---- published values
 

@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+
 from jaxnh.engine import xla_options
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -126,17 +128,19 @@ def _run_stage(
             client.cancel(list(futures), force=True)
 
 
-def machine(where: str, lanes: LaneExecutor, heed: Callable[[], None]) -> dict[str, str]:
-    """The kind of processor and XLA's options of the workers of a cluster, by the first that answers.
+def machine(where: str | None, lanes: LaneExecutor, device: str | None, heed: Callable[[], None]) -> dict[str, str]:
+    """The kind of processor and XLA's options of this process, or of a cluster's workers by the first that answers.
 
     Raises:
         ArgumentError: there is no such cluster.
         Stopped: the cluster is gone.
     """
+    if where is None:
+        return lanes.machine
     if _LOCAL.fullmatch(where):
         return xla_options.machine(lanes.devices[0], xla_options.flags_of_a_process())
     with cluster(where) as client:
-        future = client.submit(_machine, pure=False)
+        future = client.submit(_machine, device, pure=False)
         while not _finished(client, [future]):
             heed()
         return future.result()
@@ -246,8 +250,8 @@ def _check_security(where: str) -> None:
 
 
 @functools.cache
-def _lanes() -> LaneExecutor:
-    """One device, on one core where there are several to choose from."""
+def _lanes(device: str | None) -> LaneExecutor:
+    """One device of a kind, a CPU on one core where there are several to choose from."""
     from distributed import get_worker
 
     cores = xla_options.cores()
@@ -255,7 +259,7 @@ def _lanes() -> LaneExecutor:
     if len(cores) > 1 and number and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {cores[int(number[1]) % len(cores)]})
     xla_options.configure(1)
-    return LaneExecutor()
+    return LaneExecutor(devices=jax.devices(device))
 
 
 class _Task(NamedTuple):
@@ -277,16 +281,16 @@ def _task(folder: Path, job_id: str) -> _Task:
     return _Task(experiment, job, files.read(folder, whole.cutting, job.cutting))
 
 
-def _machine() -> dict[str, str]:
+def _machine(device: str | None) -> dict[str, str]:
     with _AT_ONCE:
-        return _lanes().machine
+        return _lanes(device).machine
 
 
 def _piece(folder: str, job_id: str, number: int) -> TileRecord:
     """Compute a piece and write it, unless it is there; runs in a worker, one at a time."""
     with _AT_ONCE:
-        lanes = _lanes()
         experiment, job, level = _task(Path(folder), job_id)
+        lanes = _lanes(experiment.device)
         if other := xla_options.describe_differences(job.provenance.machine, lanes.machine):
             raise RuntimeError(f"the tiles are {other}")
         piece = job.cutting.pieces()[number - job.cutting.first]

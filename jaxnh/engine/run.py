@@ -27,7 +27,7 @@ from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import decide, work_of_pieces
 from jaxnh.engine.progress import InterruptibleProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes, warnings_of
-from jaxnh.engine.xla_options import configure, describe_differences
+from jaxnh.engine.xla_options import configure, describe_differences, devices_of
 from jaxnh.exceptions import ArgumentError, ResultError, RunError, Stopped
 from jaxnh.jobs.arrays import import_beside
 from jaxnh.jobs.cutting import Piece, share
@@ -224,7 +224,7 @@ class _Run:
         if self._how.merge:
             raise ArgumentError("merge", f"there are no tiles in {self._folder}")
         lanes = self._make_lanes()
-        machine = dask_workers.machine(self._how.dask, lanes, self._check) if self._how.dask else lanes.machine
+        machine = dask_workers.machine(self._how.dask, lanes, self._experiment.device, self._check)
         parts = self._how.part[1] if self._how.part else 1
         job = decide(self._experiment, lanes, self._how.tile, parts, machine, asked=self._how.yes)
         self._check()
@@ -244,7 +244,7 @@ class _Run:
     def _make_lanes(self) -> LaneExecutor:
         if self._lanes is None:
             configure()
-            self._lanes = LaneExecutor(self._progress)
+            self._lanes = LaneExecutor(self._progress, devices_of(self._experiment))
         return self._lanes
 
     def _find(self, job: Job, pieces: Sequence[Piece]) -> None:

@@ -36,7 +36,7 @@ from jaxnh.engine.plan import (
 )
 from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes
-from jaxnh.engine.xla_options import configure
+from jaxnh.engine.xla_options import configure, devices_of
 from jaxnh.exceptions import InputError
 from jaxnh.jobs.arrays import import_beside
 from jaxnh.jobs.assembly import assemble
@@ -74,7 +74,7 @@ class Session:
             target: of a system in Python: error of one period's map that is allowed.
             parameters: of a system in Python: values in place of its defaults.
             progress: told of all work; an exception raised in it, as `jaxnh.Stopped`, ends the call.
-            devices: those that lanes go to, by default all.
+            devices: those that lanes go to, by default all of the kind that the experiment names, or that JAX prefers.
 
         Raises:
             InputError: it is no experiment and no system; or what it says cannot be used.
@@ -90,7 +90,7 @@ class Session:
             raise InputError("start, target and parameters go with a system in Python; an experiment says its own")
         self.experiment = self._base = experiment
         self._progress = as_progress(progress)
-        self._lanes = LaneExecutor(self._progress, list(devices) if devices else None)
+        self._lanes = LaneExecutor(self._progress, list(devices) if devices else devices_of(experiment))
         self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], bool, Plan]] = []
 
     def _repr_html_(self) -> str:

@@ -16,7 +16,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import COMPUTED, axes_of
 from jaxnh.engine.plan import job_of
-from jaxnh.engine.xla_options import configure
+from jaxnh.engine.xla_options import configure, devices_of
 from jaxnh.exceptions import ResultError, RunError
 from jaxnh.jobs.cutting import Cutting, Piece, slab, tile_shape
 from jaxnh.solvers import NAMED
@@ -59,7 +59,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
     cutting = job.cutting
     axes = axes_of(experiment.axes, cutting)
     compared: dict[str, tuple[int, int]] = {a.name: (0, 0) for a, _ in requested if not a.whole}
-    lanes = LaneExecutor()
+    lanes = LaneExecutor(devices=devices_of(experiment))
     for piece in _sample_blocks(cutting) if cutting.independent else ():
         [done] = compute(experiment, axes, requested, job, [piece], lanes, _nothing_gathered)
         for name in filter(compared.__contains__, done.groups):

@@ -20,6 +20,7 @@ from typing import Any
 
 import jax
 
+from jaxnh.config.config import Config
 from jaxnh.exceptions import JaxStartedWarning
 
 _XLA_OPTIONS = {
@@ -120,6 +121,18 @@ def _processor() -> str:
         words = []  # no Linux: the name has to do
     extensions = sorted(filter(_VECTORS.fullmatch, words))
     return " ".join([platform.machine(), *(extensions or [platform.processor()])]).strip()
+
+
+def devices_of(config: Config) -> list[Any]:
+    """Return the devices of JAX that compute.
+
+    Raises:
+        ConfigError: JAX finds none of the kind that the config names.
+    """
+    try:
+        return jax.devices(config.device)
+    except RuntimeError:
+        raise config.missing_device(", ".join(sorted({device.device_kind for device in jax.devices()}))) from None
 
 
 @cache

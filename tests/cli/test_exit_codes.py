@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 import h5py
+import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -106,3 +107,31 @@ def test_damage_is_said_on_evidence_alone(made, tmp_path):
     with h5py.File(made, "r+") as file:
         file["diagram"].attrs["panel"] = "points"
     assert isinstance(fault_of(made, error), DamagedError)
+
+
+SMALL = """\
+system: {constraint: constant_speed}
+sweep: {b: {values: [5.0]}}
+accuracy: {solver: strang2, steps: 8}
+analyses: {diagram: {transient: 1, strobes: 2}}
+"""
+
+
+def test_a_device_that_is_not_there(tmp_path, command):
+    """One line that says what is there, with the line of the file or of the command; and one that is there computes."""
+    config, output = tmp_path / "small.yaml", tmp_path / "small.h5"
+    config.write_text(SMALL + "device: cpu\n")
+    assert command("sweep", config, "--output", output)[0] == 0
+    if any(device.platform != "cpu" for device in jax.devices()):
+        pytest.skip("there is a GPU")
+    code, _, error = command("sweep", config, "--output", output, "--fresh", "--device", "gpu")
+    assert (code, error) == (
+        2,
+        "command line: device: JAX finds no gpu here, but cpu; leave it out, or install JAX for it\n",
+    )
+    config.write_text(SMALL + "device: gpu\n")
+    code, _, error = command("sweep", config, "--output", tmp_path / "other.h5")
+    assert (code, error) == (
+        2,
+        f"{config}:5: device: JAX finds no gpu here, but cpu; leave it out, or install JAX for it\n",
+    )

@@ -115,7 +115,7 @@ def test_analysis_that_needs_others():
     }
     session = session_of(Experiment.from_dict({**CONTENT, "analyses": analyses}))
     found = session.run("verdict")
-    assert list(found.data_vars) == ["kind", "status", "recurrence_lag", "unsteadiness"]
+    assert list(found.data_vars) == ["kind", "status", "phase_volume", "recurrence_lag", "unsteadiness"]
     identical(found, session.tree()["verdict"].to_dataset())
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -42,6 +42,9 @@ def sweep(
     yes: Annotated[
         bool, typer.Option("--yes", help="Run a sweep of any size: of days, or of more lanes than 10^7")
     ] = False,
+    device: Annotated[
+        Literal["cpu", "gpu"] | None, typer.Option(help="Kind of device that computes, in place of the config's")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors")] = False,
     print_schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of a config")] = False,
 ) -> None:
@@ -54,7 +57,7 @@ def sweep(
         raise ArgumentError("merge", "it goes without --part and --dask")
     from jaxnh.cli.arguments import command_line, read_config
 
-    content = read_config(config, overrides)
+    content = read_config(config, [*(overrides or []), *([f"device={device}"] if device else [])])
     # From here on JAX, which takes more than a second to import.
     from jaxnh.cli.running import run
     from jaxnh.engine.run import RunOptions
