@@ -11,7 +11,7 @@ FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer suslov appell_hamel parallel_velocities rotators thermostat nose_hoover speed_in_space switched_sleigh
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches flows gallery $(addprefix gallery_,$(GALLERY)) paper effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches reversal flows gallery $(addprefix gallery_,$(GALLERY)) paper effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -24,7 +24,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 $(TABLES): $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 
-$(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches: $(INSTALLED)
+$(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches reversal: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/$@.yaml --fresh
 	$(RUN)/python -m jaxnh.plot results/$@.h5
 
