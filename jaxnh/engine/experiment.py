@@ -25,6 +25,7 @@ from jaxnh.config.config import Config, UserConfig, config_of, load_config
 from jaxnh.config.messages import fault_of_rule
 from jaxnh.config.particle import PoincareSection
 from jaxnh.config.user_system import UserSection
+from jaxnh.config.values import without_values
 from jaxnh.config.yaml_source import from_dict, from_text
 from jaxnh.engine.fitting import check_analysis, check_events, check_levels
 from jaxnh.engine.flows import particle_flow, section_of
@@ -131,10 +132,7 @@ class Experiment(Config):
         Raises:
             ConfigError: one line, `experiment: KEY: what is wrong`.
         """
-        content = self._data("compare", "levels")
-        for block in ("system", "initial"):
-            given = content.get(block) or {}
-            content[block] = {key: value for key, value in given.items() if key not in axes}
+        content = {"initial": {}, **without_values(self._data("compare", "levels"), axes)}
         grids = {name: _grid(values) for name, values in axes.items()}
         filler = self._filler if not grids else ""
         own = {name: grid for name, grid in content["sweep"].items() if filler or name != self._filler}

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from typing import Any
 
+from jaxnh.config.values import Content, with_values, without_values
 from jaxnh.config.yaml_source import from_dict, from_text
 from jaxnh.engine.experiment import Experiment
 from jaxnh.explorer.view import View
 from jaxnh.systems.user_file import UserFile
-
-Content = Mapping[str, Any]
-"""A config in plain dicts."""
 
 
 def content_of(experiment: Experiment) -> dict[str, Any]:
@@ -32,10 +29,8 @@ def with_sweep(content: Content, grids: Mapping[str, Any], analyses: Mapping[str
     Args:
         grids: name to start, stop and count, or values.
     """
-    config = copy.deepcopy({key: value for key, value in content.items() if key not in ("compare", "levels", "title")})
-    for block in ("system", "initial"):
-        if block in config:
-            config[block] = {key: value for key, value in (config[block] or {}).items() if key not in grids}
+    config = {key: value for key, value in content.items() if key not in ("compare", "levels", "title")}
+    config = without_values(config, grids)
     return {**config, "sweep": dict(grids), "analyses": dict(analyses)}
 
 
@@ -44,20 +39,12 @@ def even_axis(low: float, high: float, count: int) -> dict[str, Any]:
     return {"start": low, "stop": high, "count": count}
 
 
-def with_values(content: Content, values: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, Any]:
-    """A config with other values of parameters, or of coordinates of the start state."""
-    config = copy.deepcopy(dict(content))
-    for name, value in values.items():
-        block = "initial" if name in coordinates else "system"
-        config[block] = {**(config.get(block) or {}), name: value}
-    return config
-
-
 def batch_text(
     content: Content,
     view: View,
     analyses: Mapping[str, Any],
     coordinates: tuple[str, ...],
+    integrals: tuple[str, ...],
     solver: tuple[str, int] | None,
     title: str,
 ) -> str:
@@ -67,11 +54,12 @@ def batch_text(
         content: the config that the view is of.
         analyses: with options.
         coordinates: of the start state.
+        integrals: of the system, that starts are put on a level of.
         solver: solver and steps a period of the view; None leaves them to the target.
         title: of the job.
     """
     grids = {name: even_axis(*ends, view.counts[name]) for name, ends in view.ranges.items()}
-    base = with_values(with_sweep(content, grids, analyses), view.fixed, coordinates)
+    base = with_values(with_sweep(content, grids, analyses), view.fixed, coordinates, integrals)
     accuracy = dict(base.get("accuracy") or {})
     if view.target is not None:
         accuracy["target"] = view.target

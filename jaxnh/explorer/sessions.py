@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses.batch import Axis
+from jaxnh.config.values import with_values
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.progress import Progress
 from jaxnh.engine.session import Session
@@ -63,6 +64,7 @@ class Sessions:
         dims: of the axes in results, by name.
         ends: of the axes.
         coordinates: of the start state.
+        integrals: of the system, that starts are put on a level of.
         parameters: those that can be moved.
     """
 
@@ -78,13 +80,15 @@ class Sessions:
         """
         self._progress, self._user_file, self._analyses = progress, experiment.user_file, analyses
         self.coordinates = experiment.coordinates
+        self.integrals = self._user_file.integrals if self._user_file else ()
         self.dims = {axis.name: axis.dim for axis in axes}
         self.ends = {axis.name: (float(axis.values.min()), float(axis.values.max())) for axis in axes}
         grids = {name: batch.even_axis(*ends, _CALIBRATED) for name, ends in self.ends.items()}
         others = {axis.name: float(axis.values[0]) for axis in experiment.axes if axis.name not in self.ends}
         content = batch.content_of(experiment)
         self.own: Mapping[str, Mapping[str, Any] | None] = content["analyses"] or {}
-        self.content = batch.with_values(batch.with_sweep(content, grids, self.own), others, self.coordinates)
+        base = batch.with_sweep(content, grids, self.own)
+        self.content = with_values(base, others, self.coordinates, self.integrals)
         self._base = self._experiment(grids, None)
         self.parameters = tuple(self._movable())
         self._calibrated: list[CalibratedSession] = []
@@ -152,7 +156,7 @@ class Sessions:
         plan = known.session.plan if known else None
         named = plan and plan.solver.name in SOLVERS and not plan.compensated
         solver = (plan.solver.name, plan.steps) if plan and named else None
-        return batch.batch_text(self.content, view, analyses, self.coordinates, solver, title)
+        return batch.batch_text(self.content, view, analyses, self.coordinates, self.integrals, solver, title)
 
     def notes(self, view: View, known: CalibratedSession) -> tuple[str, ...]:
         """The accuracy of a picture, in words."""
