@@ -179,11 +179,29 @@ def rotators(t, p):
     return tuple(q), tuple(v), (*v, *(push * sines / mass))
 
 
+def chaplygin_top(t, p):
+    """Borisov and Mamaev's form: M' = M × w + m r' × (w × r) + m g r × γ with M = I w + m r × (w × r), r to the contact."""
+    gamma, w = numbers(17, 3), numbers(18, 3)
+    gamma /= np.sqrt((gamma**2).sum(0))
+    inertia, m = np.array([p["i1"], p["i2"], p["i3"]]), p["mass"]
+    aside, along = p["offset"] * np.sin(p["tilt"]), p["offset"] * np.cos(p["tilt"])
+    turned = np.cross(gamma, w, axis=0)  # the rate of the vertical
+    r = np.array([[0.6 * aside], [0.8 * aside], [along]]) - p["radius"] * gamma
+    moved, pull = -p["radius"] * turned, np.cross(w, r, axis=0)
+    momentum = inertia[:, None] * w + m * np.cross(r, pull, axis=0)
+    right = np.cross(momentum, w, axis=0) + m * np.cross(moved, pull, axis=0)
+    right += m * p["gravity"] * np.cross(r, gamma, axis=0)
+    right -= m * (np.cross(moved, pull, axis=0) + np.cross(r, np.cross(w, moved, axis=0), axis=0))
+    tensor = m * ((r**2).sum(0) * np.eye(3)[:, :, None] - r[:, None] * r[None]) + np.diag(inertia)[:, :, None]
+    rates = np.linalg.solve(np.moveaxis(tensor, -1, 0), right.T[..., None])[..., 0].T
+    return tuple(gamma), tuple(w), (*turned, *rates)
+
+
 SYSTEMS = {
     system.__name__: system
     for system in (
         oscillating_mass, sleigh_in_a_valley, suslov, appell_hamel, parallel_velocities, thermostat, speed_in_space,
-        sleigh_with_rotor, roller_racer, rotators,
+        sleigh_with_rotor, roller_racer, rotators, chaplygin_top,
     )
 }  # fmt: skip
 
