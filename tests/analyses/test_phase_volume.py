@@ -34,16 +34,6 @@ def system(a=0.25, b=3.0, c=0.5, d=0.05):
 """
 """Roessler, Phys. Lett. A 71 (1979) 155."""
 
-NOSE_HOOVER = """
-def system(temperature=1.0):
-    def rhs(y, t):
-        q, p, friction = y
-        return p, -q - friction * p, p**2 - temperature
-
-    return {"rhs": rhs, "coordinates": ("q", "p", "friction")}
-"""
-"""Its divergence, minus the friction, is not zero, and its mean is, as ln of a density that stays is minus its sum."""
-
 
 def verdicts(config, text=None):
     """The words of both flags, and the groups."""
@@ -144,15 +134,18 @@ analyses: {{verdict: {{}}, lyapunov: {{exponents: 4, periods: 4096}}}}
 
 @pytest.mark.slow
 def test_volume_stays_on_the_average():
-    """Of Nosé and Hoover's oscillator from the start that is usual for it, in its chaotic sea."""
-    config = """system: {file: m.py}
-initial: {p: 5.0}
-sweep: {temperature: {values: [1.0]}}
-section: {coordinate: q, value: 0.0, direction: up}
-accuracy: {target: 1.0e-8}
-analyses: {verdict: {}, lyapunov: {exponents: 3, periods: 32768}}
+    """Of Nosé and Hoover's oscillator from the start that is usual for it, in its chaotic sea.
+
+    Its divergence is minus the friction, which is not zero; its mean is, as ln of a density that stays is minus its sum.
+    """
+    config = f"""system: {{file: {ROOT}/configs/nonholonomic/nose_hoover.py}}
+initial: {{p: 5.0}}
+sweep: {{temperature: {{values: [1.0]}}}}
+section: {{coordinate: q, value: 0.0, direction: up}}
+accuracy: {{target: 1.0e-8}}
+analyses: {{verdict: {{}}, lyapunov: {{exponents: 3, periods: 32768}}}}
 """
-    kinds, volumes, groups = verdicts(config, NOSE_HOOVER)
+    kinds, volumes, groups = verdicts(config)
     assert (kinds, volumes) == (["chaotic"], ["conservative"])
     ours, error = (groups["lyapunov"][name].to_numpy()[0] for name in ("exponents", "exponents_error"))
     assert np.all(np.abs(ours - [0.014, 0.0, -0.014]) < error + 0.0005)  # Sprott, Phys. Rev. E 50 (1994) R647, case A
