@@ -110,7 +110,7 @@ def test_three_laws_of_nonholonomic_acceleration(name, power, factor):
 
 
 def test_a_rotor_accelerates_a_sleigh_by_the_cube_root_of_time():
-    """u^(1/3) for ever without friction (Bizyaev, Borisov, Kozlov and Mamaev, Nonlinearity 32 (2019) 3209, abstract).
+    """u grows as t^(1/3) for ever without friction (Bizyaev, Borisov, Kozlov and Mamaev, Nonlinearity 32 (2019) 3209, abstract).
 
     u³ grows by 3 <k'²> / (m² a), but for terms smaller by (J ω / m a u)², J about the blade.
     """
@@ -183,7 +183,7 @@ def system(scale=1.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 4, 5])
-def test_rotators_have_two_positive_exponents_fewer_than_coordinates(count):
+def test_as_many_positive_exponents_of_rotators_as_published(count):
     """One, two and three of 3, 4 and 5 rotators whose cosines sum to zero (Kuznetsov, arXiv 1810.08002, abstract)."""
     cosines = {3: [0.6, -0.2, -0.4], 4: [0.6, -0.2, 0.3, -0.7], 5: [0.6, -0.2, 0.3, -0.5, -0.2]}[count]
     angles, rates = np.arccos(cosines), np.random.default_rng(5).standard_normal(count)
