@@ -82,7 +82,9 @@ def rolling_body(
 
     Its state is the upward vertical in the body, g1, g2, g3, a unit vector, and the angular velocity in the body, w1,
     w2, w3. The velocity V of the centre of mass follows from that of the point of contact, V + w × r = 0. Jourdain's
-    principle then gives the equations of Borisov and Mamaev (Phys. Usp. 46 (2003) 393). Its integral is the `energy`.
+    principle then gives the equations of Borisov and Mamaev (Phys. Usp. 46 (2003) 393). Its integral is the `energy`;
+    its outputs are the `normal_force`, of which the body lifts off where it is negative, and the `friction_ratio`, the
+    coefficient of friction that rolling takes: horizontal over normal force.
 
     Args:
         support: support function of its surface, homogeneous of degree one, seen from the centre of mass.
@@ -108,18 +110,29 @@ def rolling_body(
     def energy(q: Vector, u: Vector, t: Number) -> Number:
         return T(q, u, t) + mass * gravity * support(tuple(-x for x in q))
 
+    def normal_force(q: Vector, u: Vector, t: Number, multipliers: Vector) -> Number:
+        return dot(multipliers, q)
+
+    def friction_ratio(q: Vector, u: Vector, t: Number, multipliers: Vector) -> Number:
+        normal = dot(multipliers, q)
+        along = [x - normal * g for x, g in zip(multipliers, q, strict=True)]
+        return jnp.sqrt(dot(along, along)) / jnp.abs(normal)
+
     vertical, velocities = ("g1", "g2", "g3"), ("V1", "V2", "V3")
     return {
         "T": T, "Q": Q, "f": f, "rates": rates,
         "coordinates": vertical, "quasi_velocities": ("w1", "w2", "w3", *velocities), "dependent": velocities,
         "norms": (vertical,), "structure_constants": RIGID_MOTION,
         "integrals": {"energy": energy}, "labels": _LABELS,
+        "outputs": {"normal_force": normal_force, "friction_ratio": friction_ratio},
     }  # fmt: skip
 
 
 _LABELS = {
     **{f"g{i}": "component of the upward vertical" for i in (1, 2, 3)},
     **{f"w{i}": "angular velocity" for i in (1, 2, 3)},
+    "normal_force": "normal force",
+    "friction_ratio": "horizontal over normal force",
 }
 
 

@@ -37,7 +37,7 @@ def check_events(flow: Flow, solver: str | None, precision: str) -> None:
     """
     if not isinstance(flow, PiecewiseSmooth):
         return
-    if solver in NYSTROM or (flow.jumps and solver in ADAPTIVE):
+    if solver in NYSTROM or (flow.needs_events and solver in ADAPTIVE):
         others = ", ".join(RUNGE_KUTTA)
         raise rule(f"{solver} has no steps that end at jumps or switches; {others} have", "accuracy.solver")
     if precision == "extended":

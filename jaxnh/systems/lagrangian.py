@@ -174,6 +174,10 @@ class Lagrangian(DefinedFlow):
             f"{least[at] / largest:.1g} of what it is elsewhere"
         )
 
+    def motion_at(self, t: ArrayLike, y: Motion, p: Parameters) -> tuple[Equations, Vector, Vector, None]:
+        """The equations of a lane, coordinates and all velocities of a state, and which constraints hold: all."""
+        return self.equations(p), y.q, self.all_velocities(t, y, p), None
+
     def multipliers(self, t: ArrayLike, y: Motion, p: Parameters) -> Vector:
         """The multipliers λ of (6), one a constraint, of velocities that are left out as well."""
         return accelerations(self.equations(p), y.q, self.all_velocities(t, y, p), t).multipliers

@@ -76,6 +76,11 @@ class PiecewiseSmooth(FirstOrder):
         return self.holding
 
     @property
+    def needs_events(self) -> bool:
+        """Return whether no steps follow motions but those that end at events: the state jumps there."""
+        return bool(self.jumps)
+
+    @property
     def constrained(self) -> bool:
         """Return whether states are brought back to constraints after each step."""
         return False

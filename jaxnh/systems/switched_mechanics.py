@@ -103,8 +103,14 @@ class SwitchedMechanics(PiecewiseSmooth):
 
     @property
     def loses_rank(self) -> bool:
-        """Return whether motions may be held, or constraints begin, where different ones become the same."""
-        return self.holding or bool(self.switched)
+        """Return whether motions may be held, constraints begin, or jumps forget, where different ones become one."""
+        jumps = self.definition({}).get("jumps", ())
+        return self.holding or bool(self.switched) or any("then" in jump for jump in jumps)
+
+    @property
+    def needs_events(self) -> bool:
+        """Return whether no steps follow motions but those that end at events, and are projected there."""
+        return True
 
     @property
     def constrained(self) -> bool:
@@ -188,6 +194,13 @@ class SwitchedMechanics(PiecewiseSmooth):
             return self.on_constraints(t, y, p, sides)
         (q, v), equations, active = self._split(t, y.y, p), self._equations(p, sides), self._active(sides)
         return self._after_impulse(t, y, p, q, constrained_velocities(equations, q, v, t, active, linear=self.linear))
+
+    def motion_at(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters
+    ) -> tuple[Equations, Vector, Vector, tuple[Number, ...] | None]:
+        """The equations of a lane, coordinates and all velocities of a state, and which constraints hold there."""
+        sides = self.sides(t, y, p)
+        return self._equations(p, sides), *self._split(t, y.y, p), self._active(sides)
 
     # ---- parts
 

@@ -60,6 +60,7 @@ from jaxnh.systems.user_functions import (
     FUNCTIONS,
     EventFault,
     components_of,
+    count_of,
     functions_of,
     line_of_code,
     pointwise,
@@ -313,7 +314,7 @@ class UserFile:
             def evaluate(p: Mapping[str, Any], t: Any, *at: Any, name: str = name, wanted: str = wanted) -> Any:
                 result = functions_of(self.define(**p))[name](*at, t)
                 if self.mechanical and name.endswith(".then"):
-                    if not isinstance(result, tuple | list) or [len(tuple(side)) for side in result] != [*sizes]:
+                    if not isinstance(result, tuple | list) or list(map(count_of, result)) != [*sizes]:
                         raise self._fault(self._line_of(name), f"{name} must return {wanted}")
                     result = [x for side in result for x in side]
                 return self._numbers(name, result if isinstance(result, tuple | list) else (result,))

@@ -197,6 +197,13 @@ def components_of(function: Callable[..., Any]) -> Callable[..., Any]:
     return components
 
 
+def count_of(result: Any) -> int:
+    """The number of components of what a function returned; -1 of what has none."""
+    if isinstance(result, tuple | list):
+        return len(result)
+    return result.shape[0] if getattr(result, "ndim", 0) == 1 else -1
+
+
 def pointwise(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that only ever sees the numbers of one state, also where it is asked for many of any one shape.
 

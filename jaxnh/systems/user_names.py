@@ -19,7 +19,7 @@ CLOCKS = ("period", "time_unit")
 
 _OF_ALL = ("coordinates", "angles", "labels", "units", "reversal")
 _FIRST_ORDER = ("rhs", *EVENTS, *CLOCKS, *_OF_ALL)
-_MECHANICS = ("T", "Q", "f", "ignorable", "integrals", *EVENTS, *KEYS, *CLOCKS, *_OF_ALL)
+_MECHANICS = ("T", "Q", "f", "ignorable", "integrals", "outputs", *EVENTS, *KEYS, *CLOCKS, *_OF_ALL)
 _MAP = ("map", *_OF_ALL[:-1])
 _OWN_KEYS = {"map": _MAP, "rhs": _FIRST_ORDER}  # of a system that returns one of these
 _AS_IN = {"labels": "displacement", "units": "m"}
@@ -105,8 +105,10 @@ def check_names(definition: Mapping[str, Any], parameters: Sequence[str]) -> Non
     for name in every:
         if name in parameters:
             raise InputError(f"{name} names a parameter and a coordinate or velocity; rename one of them")
-    _check_integrals(definition, (*every, *parameters))
+    _check_functions("integrals", "(q, v, t)", "energy", definition, (*every, *parameters))
     every += definition.get("integrals", ())
+    _check_functions("outputs", "(q, v, t, multipliers)", "force", definition, (*every, *parameters))
+    every += definition.get("outputs", ())
     for kind in ("labels", "units"):
         said = definition.get(kind, {})
         if not isinstance(said, Mapping) or not all(isinstance(word, str) for word in said.values()):
@@ -123,14 +125,16 @@ def check_names(definition: Mapping[str, Any], parameters: Sequence[str]) -> Non
         raise InputError("one coordinate at least must not be ignorable")
 
 
-def _check_integrals(definition: Mapping[str, Any], taken: Sequence[str]) -> None:
-    """Check that integrals are functions, with names that nothing else has."""
-    integrals = definition.get("integrals", {})
-    if not isinstance(integrals, Mapping) or not all(map(callable, integrals.values())):
-        raise InputError('integrals must be functions of (q, v, t) by name, as in integrals={"energy": energy}')
-    for name in integrals:
+def _check_functions(
+    kind: str, arguments: str, example: str, definition: Mapping[str, Any], taken: Sequence[str]
+) -> None:
+    """Check that integrals, or outputs, are functions, with names that nothing else has."""
+    functions = definition.get(kind, {})
+    if not isinstance(functions, Mapping) or not all(map(callable, functions.values())):
+        raise InputError(f'{kind} must be functions of {arguments} by name, as in {kind}={{"{example}": {example}}}')
+    for name in functions:
         if not isinstance(name, str) or not name.isidentifier() or name in taken or name in OF_RESULTS:
-            raise InputError(f"integrals has {name!r}, which is no name or that of something else")
+            raise InputError(f"{kind} has {name!r}, which is no name or that of something else")
 
 
 def _check_identifiers(kind: str, names: Sequence[Any], example: str) -> None:

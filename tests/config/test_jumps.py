@@ -8,6 +8,7 @@ import jaxnh
 from jaxnh.exceptions import ConfigError
 from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
 FILE = """import jax.numpy as jnp
 
@@ -91,6 +92,62 @@ def test_fault_in_the_file(tmp_path, edit, message):
     assert edit[0] in FILE
     with pytest.raises(ConfigError) as caught:
         jaxnh.load(write(tmp_path, FILE.replace(*edit)))
+    assert str(caught.value).startswith(f"{tmp_path}/own.py{message}")
+    assert "\n" not in str(caught.value)
+
+
+MECHANICS = """import jax.numpy as jnp
+
+def system(w=2.0, r=0.8):
+    def T(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def Q(q, v, t):
+        return -q[0], jnp.cos(w * t)
+
+    def blade(q, v, t):
+        return v[0] - q[1] * v[1]
+
+    def lowered(q, v, t):
+        return jnp.sin(w * t)
+
+    def wall(q, v, t):
+        return q[0] - 1.0
+
+    def bounce(q, v, t):
+        return q, (-r * v[0], v[1])
+
+    return {"T": T, "Q": Q, "coordinates": ("x", "y"), "period": 2 * jnp.pi / w,
+            "f": [{"constraint": blade, "when": lowered}],
+            "jumps": [{"when": wall, "then": bounce}, {"when": wall, "direction": "down", "restitution": r}]}
+"""
+
+MECHANICS_FAULTS = {
+    "a key": (('"when": lowered', '"while": lowered'), ":3: f[0] has 'while', which is unknown"),
+    "no when": ((', "when": lowered', ""), ":3: f[0] must also have when, as in f=[{"),
+    "no constraint": (('[{"constraint": blade, "when": lowered}]', "[1.0]"), ":3: f[0] must be a function of (q, v, t), or a mapping, as in f=[{"),
+    "other arguments": (("def lowered(q, v, t)", "def lowered(y, t)"), ":13: f[0].when must be a function of (q, v, t)"),
+    "two numbers for a height": (("return jnp.sin(w * t)", "return v"), ":13: f[0].when must return a number"),
+    "no period": (("return jnp.sin(w * t)", "return jnp.sin(1.3 * t)"), ":13: 3.14159265 is no period of f[0].when: at one state"),
+    "velocities alone": (("return q, (-r * v[0], v[1])", "return -r * v[0], v[1]"), ":19: jumps[0].then must return (q, v), the coordinates and the velocities after"),
+    "both": (('"then": bounce', '"then": bounce, "restitution": r'), ":3: jumps[0] has then and restitution, which exclude each other"),
+    "no number": (('"restitution": r', '"restitution": bounce'), ":3: jumps[1].restitution must be a number"),
+    "no side": (('"jumps"', '"switches": [{"on": wall}], "jumps"'), ":7: with switches Q is a function of (q, v, t, side); side has +1.0 or -1.0 for each"),
+}  # fmt: skip
+
+
+def test_mechanics_with_events(tmp_path):
+    flow = jaxnh.load(write(tmp_path, MECHANICS, CONFIG.replace("{x: -1.0}", "{y: 0.1}"))).flow()
+    assert isinstance(flow, SwitchedMechanics)
+    assert (flow.jumps, flow.switches, flow.begins) == (("up", "down"), 1, (False, False, True))
+    assert (flow.coordinates, flow.exponents, flow.linear) == (("x", "x_dot", "y", "y_dot"), 4, True)
+
+
+@pytest.mark.parametrize(("edit", "message"), MECHANICS_FAULTS.values(), ids=MECHANICS_FAULTS)
+def test_fault_in_mechanics(tmp_path, edit, message):
+    assert edit[0] in MECHANICS
+    with pytest.raises(ConfigError) as caught:
+        jaxnh.load(write(tmp_path, MECHANICS.replace(*edit), CONFIG.replace("{x: -1.0}", "{y: 0.1}")))
     assert str(caught.value).startswith(f"{tmp_path}/own.py{message}")
     assert "\n" not in str(caught.value)
 

@@ -26,8 +26,10 @@ from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.trajectories.poincare import recording_program, strobe_states
 from jaxnh.analyses.trajectories.states import (
+    check_outputs,
     check_transient,
     count,
+    output_variables,
     section_attrs,
     settle_lanes,
     state_variables,
@@ -66,6 +68,7 @@ def numbers(options: DiagramOptions) -> int:
 def check(options: DiagramOptions, setting: Setting) -> None:
     """Check that a phase has a period, a carried state a parameter, and that there is one kind of start states."""
     check_transient(options.transient, setting)
+    check_outputs(options.outputs, setting)
     if options.phase and (setting.autonomous or not setting.flow.continuous):
         raise OptionError("there is no period to have a phase in; leave it out", "phase")
     first = setting.axes[0]
@@ -104,6 +107,7 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         **section_attrs(batch),
     }
     variables = state_variables(batch.system, states, t, dims)
+    variables |= output_variables(options.outputs, lanes, batch.system, states, batch.p, t, dims)
     return xr.Dataset(statistics(variables, "strobe") if options.statistics else variables, attrs=attrs)
 
 

@@ -15,8 +15,10 @@ from jaxnh.analyses.options.trajectories import PoincareOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.trajectories.states import (
     TILE,
+    check_outputs,
     check_transient,
     count,
+    output_variables,
     section_attrs,
     settle_lanes,
     state_variables,
@@ -40,8 +42,9 @@ def numbers(options: PoincareOptions) -> int:
 
 
 def check(options: PoincareOptions, setting: Setting) -> None:
-    """Check that the first strobe is on the section."""
+    """Check that the first strobe is on the section, and that there are the outputs."""
     check_transient(options.transient, setting)
+    check_outputs(options.outputs, setting)
 
 
 def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -55,7 +58,9 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
         time = batch.flow.period * (options.transient + np.arange(options.strobes))
         words = "time since the start" if batch.flow.continuous else "number of iterates since the start"
         variables["t"] = variable("strobe", time, words, batch.flow.labels.units["t"])
-    variables |= state_variables(batch.system, states, np.zeros(1), (LANE, "strobe"), {"coordinates": "t"})
+    at = np.zeros(1), (LANE, "strobe"), {"coordinates": "t"}
+    variables |= state_variables(batch.system, states, *at)
+    variables |= output_variables(options.outputs, lanes, batch.system, states, p, *at)
     return xr.Dataset(variables, attrs=section_attrs(batch))
 
 

@@ -11,7 +11,14 @@ from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.trajectories import PortraitOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.trajectories.states import TILE, count, settle_lanes, state_variables
+from jaxnh.analyses.trajectories.states import (
+    TILE,
+    check_outputs,
+    count,
+    output_variables,
+    settle_lanes,
+    state_variables,
+)
 from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
@@ -35,6 +42,7 @@ def check(options: PortraitOptions, setting: Setting) -> None:
     """Check that there is something between strobes."""
     if not setting.flow.continuous:
         raise OptionError("a map has nothing between its iterates, which are in poincare: ask for that")
+    check_outputs(options.outputs, setting)
 
 
 def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -57,6 +65,9 @@ def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     variables = {
         "t": variable("time", time, "time since the start", batch.flow.labels.units["t"]),
         **state_variables(batch.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
+        **output_variables(
+            options.outputs, lanes, batch.system, states, p, in_period, (LANE, "time"), {"coordinates": "t"}
+        ),
     }
     return xr.Dataset(variables)
 

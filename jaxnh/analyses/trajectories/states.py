@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Mapping, Sequence
 
+import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Entry, OptionError, Setting, as_variable
+from jaxnh.analyses.base import Entry, OptionError, Setting, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
-from jaxnh.maps.section import Section, System, outputs, plot_plane, reports
+from jaxnh.maps.section import Crossing, Section, System, outputs, plot_plane, reports
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.mechanical_outputs import describe_output, evaluate_outputs, output_names
 from jaxnh.systems.state import State
 
 TILE = 16
@@ -51,6 +54,51 @@ def state_variables(
         for name, output in coordinates.items()
     }
     return variables | {name: as_variable(dims[:-1], output) for name, output in reports(system.flow, states).items()}
+
+
+def check_outputs(names: Sequence[str], setting: Setting) -> None:
+    """Check that a flow has the outputs that are asked for."""
+    known = output_names(setting.flow) if names else {}
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            meant = f" (did you mean {close[0]}?)" if close else ""
+            has = f"there are {', '.join(known)}" if known else "systems of T and Q have some"
+            raise OptionError(f"there is no output {name}{meant}; {has}", "outputs")
+        if taken := set(known[name]) & set(setting.flow.coordinates):
+            raise OptionError(f"{taken.pop()} names a coordinate or velocity and an output; rename it", "outputs")
+
+
+def output_variables(
+    names: Sequence[str],
+    lanes: LaneRunner,
+    system: System,
+    states: State,
+    p: Parameters,
+    t: Float[np.ndarray, " times"],
+    dims: tuple[str, ...],
+    attrs: Mapping[str, str] | None = None,
+) -> dict[str, Entry]:
+    """Return the outputs asked for at states, as of `state_variables`.
+
+    Args:
+        names: of the outputs.
+        lanes: runs them.
+        p: parameters, (lanes,).
+    """
+    if not names:
+        return {}
+    flow = system.flow
+    states = states.state if isinstance(states, Crossing) else states
+    known, points = output_names(flow), jax.tree.leaves(states)[0].shape[-1]
+    made = [variable for name in names for variable in known[name]]
+    times = np.resize(t, points)  # they repeat
+    values = lanes(evaluate_outputs, (flow, times), (states, dict(p)), static=(tuple(made),))
+    variables = {}
+    for name, numbers in zip(made, values, strict=True):
+        words, units = describe_output(flow, name)
+        variables[name] = variable(dims, numbers, words, units, **(attrs or {}))
+    return variables
 
 
 _STATISTICS = (

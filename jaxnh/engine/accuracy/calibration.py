@@ -132,7 +132,7 @@ class Calibration:
             Whether it helps: not where that is tried already, or is for no flow of this kind.
         """
         flow = maps.flows[0].flow
-        jumps = isinstance(flow, PiecewiseSmooth) and flow.jumps  # of the state, which those steps know nothing of
+        jumps = isinstance(flow, PiecewiseSmooth) and flow.needs_events  # which those steps know nothing of
         if maps.adaptive or maps.scheme.smooth or jumps or self._precision != "float64":
             return False
         maps.tell("steps that all lanes share do not do; each lane takes steps of its own")

@@ -51,7 +51,7 @@ def find_kink(
         times, passed: of states of the motion, one after the other.
         located: whether switches are left out, as by steps that end there.
     """
-    if isinstance(flow, PiecewiseSmooth) and flow.jumps:
+    if isinstance(flow, PiecewiseSmooth) and flow.needs_events:
         return None
     finite = np.all(np.isfinite(image_of(passed)), axis=0)
     points = len(times) if np.all(finite) else int(np.argmin(finite))
