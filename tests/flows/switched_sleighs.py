@@ -8,8 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from jaxnh.systems.switched_mechanics import switched_mechanics
+from jaxnh.systems.user_functions import with_events
+
 TURN = 2 * np.pi
 INERTIA = np.array([1.0, 1.0, 0.2])
+
+
+def flow_of(function, **p):
+    """The flow of a user's function."""
+    return switched_mechanics(lambda **p: with_events(function(**p), "T"), p)
 
 
 def by_clock(a=0.3, drive=1.0, phase=0.0):

@@ -13,20 +13,13 @@ from jaxnh.maps.protocol import Tangent
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
-from jaxnh.systems.switched_mechanics import switched_mechanics
-from jaxnh.systems.user_functions import with_events
 from tests.flows import switched_sleighs
-from tests.flows.switched_sleighs import TURN
+from tests.flows.switched_sleighs import TURN, flow_of
 
 STATES = {
     switched_sleighs.by_clock: [(0.4, 1.0, 0.5, 0.3), (-1.0, -0.3, 0.8, -1.1)],
     switched_sleighs.by_place: [(0.3, 0.4, 1.0, 0.5, 0.3), (-0.4, -1.0, -0.3, 0.8, -1.1)],
 }
-
-
-def flow_of(function, **p):
-    """The flow of a user's function."""
-    return switched_mechanics(lambda **p: with_events(function(**p), "T"), p)
 
 
 def end(flow, states, steps=60, periods=1, solver=dopri8):
