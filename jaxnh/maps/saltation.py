@@ -181,7 +181,8 @@ class EventPassage:
 
         # Sides: those of surfaces first, which decide the field there.
         heights = self.system.heights(end.t, after, self.own) if self._changes else end.height
-        new_sides = self._crossed(end.height, heights, sides, arrival, jumps | begins)
+        changes = jumps if begins is None else jumps | begins
+        new_sides = self._crossed(end.height, heights, sides, arrival, changes)
         left: Heights = ()
         if holding:
             new_sides, left = self._hold(end, after, sides, new_sides, arrival, jumps)
@@ -197,7 +198,8 @@ class EventPassage:
             if units:
                 columns = [jnp.stack(dz.y) for dz in pushed[count:]]
                 growth = jnp.where(jumps, jnp.linalg.det(jnp.stack(columns, axis=-1)), growth)
-            volume = jnp.where(begins, -jnp.inf, volume + jnp.log(jnp.abs(growth)))
+            volume = volume + jnp.log(jnp.abs(growth))
+            volume = volume if begins is None else jnp.where(begins, -jnp.inf, volume)
         moving = Moving(after, tuple(pushed[:count]), volume)
         if holding:
             return self._on_what_holds(reading._replace(moving=moving), sides, new_sides, roundings, left, arrival)
@@ -225,13 +227,14 @@ class EventPassage:
         delays: list[Array],
         by_p: list[Any],
         arrival: Arrival,
-    ) -> tuple[PiecewisePoint, list[PiecewisePoint], Array, Array]:
+    ) -> tuple[PiecewisePoint, list[PiecewisePoint], Array, Array | None]:
         """The state after, what becomes of tangents then, and whether the event is a jump, or begins a constraint."""
         system, state = self.system, end.moving.state
-        after, pushed, jumps, begins = state, carried, jnp.bool_(False), jnp.bool_(False)
+        after, pushed, jumps = state, carried, jnp.bool_(False)
+        begins = jnp.bool_(False) if any(system.begins) else None
         for k in self._changes:
             here = arrival.at(k)
-            if k < self._jumps:
+            if begins is None or k < self._jumps:
                 jumps |= here
             else:
                 here &= arrival.side < 0.0

@@ -30,7 +30,7 @@ def output_names(flow: Flow) -> dict[str, tuple[str, ...]]:
     definition = flow.definition({})
     energies = (*_ENERGY, *definition.get("integrals", ()))
     names = (*energies, *(f"{name}{_RATE}" for name in energies), "power", *definition.get("outputs", ()))
-    outputs = {name: (name,) for name in names}
+    outputs: dict[str, tuple[str, ...]] = {name: (name,) for name in names}
     count = _constraint_count(flow)
     if count:
         outputs["constraint_power"] = ("constraint_power",)

@@ -10,6 +10,7 @@ import pytest
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.protocol import Tangent
+from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
@@ -146,6 +147,40 @@ def test_the_nearest_velocity_in_the_metric_of_the_mass():
     impulse = np.array([1.0, 2.0]) * (after - before)
     assert after @ after == pytest.approx(0.5, rel=1e-13)
     assert impulse[0] * after[1] == pytest.approx(impulse[1] * after[0], abs=1e-10)
+
+
+# ---- on a section
+
+
+def test_crossings_of_a_section_between_clamps():
+    """An oscillator carried along evenly and clamped in stripes: cosines between, each stripe ends the speed.
+
+    It is let go for a time τ, and its amplitude is less by |cos τ| each time; it rises through zero every other time.
+    """
+
+    def stripes(width=0.3):
+        return {
+            "T": lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2),
+            "Q": lambda q, v, t: (0.0, -q[1]),
+            "f": [{"constraint": lambda q, v, t: v[1], "when": lambda q, v, t: jnp.sin(q[0]) + width}],
+            "coordinates": ("x", "y"),
+            "time_unit": TURN,
+        }
+
+    flow = flow_of(stripes, width=0.3)
+    section = Section(flow, "y", 1, 0.0, "up", longest=4.0)
+    strobe = make_return_map(section, in_loop(dopri8), 60)
+    state = begin(section, flow.start({"x": np.pi, "y": 1.0, "x_dot": 1.0, "y_dot": 0.0}))
+    met = jax.jit(lambda y: (strobe(y, {}), strobe.iterate(2, y, {})))(jax.tree.map(jnp.asarray, state))
+    delta = np.arcsin(0.3)
+    shrinks = abs(np.cos(np.pi - 2 * delta))
+    for crossing, time, speed in zip(
+        met, (delta + 2.5 * np.pi, delta + 6.5 * np.pi), (shrinks, shrinks**3), strict=True
+    ):
+        assert crossing.t == pytest.approx(time, abs=1e-10)
+        x, y, along, across = (float(component) for component in crossing.state.y)
+        assert (along, across) == pytest.approx((1.0, speed), abs=1e-10)
+        assert (x - np.pi, y) == pytest.approx((time, 0.0), abs=1e-10)
 
 
 # ---- walls
