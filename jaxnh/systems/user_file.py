@@ -20,8 +20,12 @@ A right-hand side may have jumps of the state and switches of the field:
     switches=[{"on": surface}]                                    # where surface(y, t) is zero the field changes
 
 `bounce(y, t)` is the state after; with switches the right-hand side is rhs(y, t, side), side a tuple of +1.0 or -1.0 a
-switch. With `"rest": True` motions may come to rest on a wall, with `"sliding": True` slide along a surface. With
-`rates`, mechanics is in quasi-velocities (`quasi_velocities`). `y`, `q` and `v` are tuples, a number a coordinate, and
+switch. With `"rest": True` motions may come to rest on a wall, with `"sliding": True` slide along a surface. Mechanics
+has them as functions of (q, v, t), and Q reads the sides; `bounce` returns (q, v), or a wall has a `restitution`:
+
+    f=[rope, {"constraint": blade, "when": lowered}]              # holds always, and while lowered(q, v, t) is positive
+
+With `rates`, mechanics is in quasi-velocities (`quasi_velocities`). `y`, `q` and `v` are tuples, a number a coordinate, and
 functions are those of `jax.numpy`. One number or one name stands for the tuple of it. What depends on t has a `period`;
 what does not may have a `time_unit`. Results and pictures take words and units of parameters and coordinates, and units
 of t, from labels={"x": "displacement"} and
