@@ -26,10 +26,10 @@ has them as functions of (q, v, t), and Q reads the sides; `bounce` returns (q, 
     f=[rope, {"constraint": blade, "when": lowered}]              # holds always, and while lowered(q, v, t) is positive
 
 With `rates`, mechanics is in quasi-velocities (`quasi_velocities`). `y`, `q` and `v` are tuples, a number a coordinate,
-and functions are those of `jax.numpy`. One number or one name stands for the tuple of it. What depends on t has a `period`;
-what does not may have a `time_unit`. Results and pictures take words and units of parameters and coordinates, and units
-of t, from labels={"x": "displacement"} and
-units={"x": "m"}. Whatever is wrong with the file is said in one line with its place.
+and functions are those of `jax.numpy`. One number or one name stands for the tuple of it. What depends on t has a
+`period`; what does not may have a `time_unit`. Results and pictures take words and units of parameters and coordinates,
+and units of t, from labels={"x": "displacement"} and units={"x": "m"}. Whatever
+is wrong with the file is said in one line with its place.
 """
 
 from __future__ import annotations

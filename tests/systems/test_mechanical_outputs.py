@@ -80,6 +80,17 @@ def test_energy_is_kept_and_named_where_it_is_asked_for():
     assert not {"energy", "lambda_1"} & set(session.run(jaxnh.Portrait(**options)))
 
 
+def test_outputs_at_crossings_and_strobes():
+    """On a section the energy is the start's, and at strobes of random starts each lane's own."""
+    start = {"x": 0.8, "y": -0.6, "x_dot": 0.9, "y_dot": 1.2}
+    section = jaxnh.Session(bead, start=start, target=1e-9).on(coordinate="x", value=0.0, direction="up")
+    data = section.run(jaxnh.Poincare(transient=1, strobes=3, outputs=["energy"]), gravity=[2.0, 3.0])
+    known = 0.5 * 1.3 * 2.25 - 1.3 * 0.6 * data["gravity"]
+    assert np.abs(data["energy"] - known).max() < 1e-7
+    data = section.run(jaxnh.Diagram(transient=1, strobes=2, outputs=["energy"], statistics=True), gravity=[2.0, 3.0])
+    assert np.abs(data["energy_max"] - known).max() < 1e-7
+
+
 def test_powers_are_the_rate_of_the_kinetic_energy():
     """Of Q and of a constraint that is nonlinear: the sum at every sample, and the rate by differences."""
     session = jaxnh.Session(governor, start={"x": 0.5, "y_dot": -0.25}, target=1e-10)
