@@ -46,7 +46,8 @@ def describe_output(flow: Flow, name: str) -> tuple[str, str]:
     if name.startswith("lambda_"):
         return f"multiplier of constraint {name.removeprefix('lambda_')}", unit
     base = name.removesuffix(_RATE)
-    words = said.get(name) or (_ENERGY | _POWERS).get(base) or f"{'output' if base == name else 'integral'} {base}"
+    kind = "integral" if base in definition.get("integrals", {}) else "output"
+    words = said.get(name) or (_ENERGY | _POWERS).get(base) or f"{kind} {base}"
     return (words if base == name else f"rate of the {words}"), unit
 
 
@@ -67,8 +68,13 @@ def _at_state(flow: Any, t: Number, y: State, p: Parameters, names: Sequence[str
     equations, q, v, active = flow.motion_at(t, y, p)
     definition, solved = flow.definition(p), accelerations(equations, q, v, t, active)
     rates = equations.rates(q, v, t)
+    functions: dict[str, Callable[..., Number]] = {"kinetic_energy": definition["T"], **definition.get("integrals", {})}
 
     def value(name: str) -> Number:
+        if name in definition.get("outputs", {}):
+            return definition["outputs"][name](q, v, t, solved.multipliers)
+        if name in functions:
+            return functions[name](q, v, t)
         if name.startswith("lambda_"):
             return solved.multipliers[int(name.removeprefix("lambda_")) - 1]
         if name == "power":
@@ -77,18 +83,9 @@ def _at_state(flow: Any, t: Number, y: State, p: Parameters, names: Sequence[str
             slopes = constraint_slopes(equations, (*q, *v, t), len(q))
             each = zip(solved.multipliers, slopes, strict=True)
             return sum(x * sum(a * rate for a, rate in zip(row, v, strict=True)) for x, row in each)
-        if name in definition.get("outputs", {}):
-            return definition["outputs"][name](q, v, t, solved.multipliers)
-        function = _function(definition, name.removesuffix(_RATE))
-        if not name.endswith(_RATE) or name in definition.get("integrals", {}):
-            return function(q, v, t)
-        return jax.jvp(function, (q, v, t), (rates, solved.a, jnp.ones_like(t)))[1]
+        return jax.jvp(functions[name.removesuffix(_RATE)], (q, v, t), (rates, solved.a, jnp.ones_like(t)))[1]
 
     return tuple(jnp.asarray(value(name), float) for name in names)
-
-
-def _function(definition: Any, name: str) -> Callable[..., Number]:
-    return definition["T"] if name == "kinetic_energy" else definition["integrals"][name]
 
 
 def _constraint_count(flow: Lagrangian | SwitchedMechanics) -> int:
