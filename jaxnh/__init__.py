@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import DiagramOptions as Diagram
     from jaxnh.analyses.options import DoublingOptions as Doubling
     from jaxnh.analyses.options import LyapunovOptions as Lyapunov
+    from jaxnh.analyses.options import OrbitsOptions as Orbits
     from jaxnh.analyses.options import PeriodOptions as Period
     from jaxnh.analyses.options import PoincareOptions as Poincare
     from jaxnh.analyses.options import PortraitOptions as Portrait
@@ -113,6 +114,7 @@ __all__ = [
     "Lagrangian",
     "LostLaneError",
     "Lyapunov",
+    "Orbits",
     "Period",
     "Poincare",
     "Portrait",

@@ -6,6 +6,7 @@ from jaxnh.analyses.basins import basins
 from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.continuation import branches, curves
 from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.orbits import orbits
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.reversal import reversal
 from jaxnh.analyses.trajectories import diagram, poincare, portrait
@@ -25,6 +26,7 @@ _MODULES = (
     curves,
     windows,
     reversal,
+    orbits,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}

@@ -66,7 +66,6 @@ def close_orbits(
         wrap: of differences of section coordinates.
     """
     nodes, n, d = points.shape
-    there = np.broadcast_to(-np.eye(d), (n, d, d))
     orbits = ShootingOrbits(
         np.array(points), np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_)
     )
@@ -84,10 +83,7 @@ def close_orbits(
         left = finite & ~at_rest
         if step == _NEWTON_STEPS or not left.any():
             break
-        try:
-            moved = cyclic.solve(cyclic.eliminate(blocks[left], np.tile(there, (left.sum(), 1, 1, 1))), missing[left])
-        except np.linalg.LinAlgError:  # a multiplier of exactly one: the orbit is not isolated
-            break
+        moved = _newton_steps(blocks[left], missing[left])
         length = np.abs(moved).max(axis=(1, 2))
         contracts = length <= _CONTRACTION * size[open_[left]]
         open_ = open_[left][contracts]
@@ -102,17 +98,17 @@ def orbits_from_afar(
     period: Period,
     points: Float[np.ndarray, "nodes n d"],
     values: Float[np.ndarray, " nodes"],
-    size: Float[np.ndarray, " d"],
+    size: Float[np.ndarray, "#nodes d"] | Float[np.ndarray, " d"],
     wrap: Wrap,
 ) -> ShootingOrbits:
     """`close_orbits` from points that may be far from any orbit: short steps of Newton first, wherever they lead.
 
     Args:
         period, points, values, wrap: as there.
-        size: of the motion in each section coordinate, in which steps are short.
+        size: of the motion in each section coordinate, in which steps are short; of all nodes, or of each.
     """
     (nodes, n, d), points = points.shape, np.array(points)
-    there = np.broadcast_to(-np.eye(d), (n, d, d))
+    size = np.broadcast_to(size, (nodes, d))
     open_, near = np.arange(nodes), np.zeros(nodes, bool)
     for _ in range(_FAR_STEPS):
         here = points[open_]
@@ -123,11 +119,8 @@ def orbits_from_afar(
         open_, missing, blocks = open_[finite], missing[finite], blocks[finite]
         if not len(open_):
             break
-        try:
-            step = cyclic.solve(cyclic.eliminate(blocks, np.tile(there, (len(open_), 1, 1, 1))), missing)
-        except np.linalg.LinAlgError:  # a multiplier of exactly one
-            break
-        length = np.abs(step / size).max(axis=(1, 2))
+        step = _newton_steps(blocks, missing)
+        length = np.abs(step / size[open_, None]).max(axis=(1, 2))
         with np.errstate(divide="ignore", invalid="ignore"):
             points[open_] += np.minimum(1.0, _LARGEST_STEP / length)[:, None, None] * step
         near[open_] = length < _NEAR
@@ -141,3 +134,18 @@ def orbits_from_afar(
     for leaf, new in zip(whole, orbits, strict=True):
         leaf[near] = new
     return whole
+
+
+def _newton_steps(
+    blocks: Float[np.ndarray, "nodes n d d"], missing: Float[np.ndarray, "nodes n d"]
+) -> Float[np.ndarray, "nodes n d"]:
+    """Return Newton's steps; not numbers where a multiplier is exactly one, and the orbit is not isolated."""
+    there = np.broadcast_to(-np.eye(blocks.shape[-1]), blocks.shape)
+    try:
+        return cyclic.solve(cyclic.eliminate(blocks, there), missing)
+    except np.linalg.LinAlgError:
+        if len(blocks) == 1:
+            return np.full_like(missing, np.nan)
+        half = len(blocks) // 2
+        parts = (slice(None, half), slice(half, None))
+        return np.concatenate([_newton_steps(blocks[part], missing[part]) for part in parts])

@@ -3,7 +3,14 @@
 from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.options.basins import BasinsOptions
 from jaxnh.analyses.options.chaos import Chaos01Options, LyapunovOptions, ReversalOptions, VerdictOptions
-from jaxnh.analyses.options.orbits import BranchesOptions, CurvesOptions, DoublingOptions, PeriodOptions, WindowsOptions
+from jaxnh.analyses.options.orbits import (
+    BranchesOptions,
+    CurvesOptions,
+    DoublingOptions,
+    OrbitsOptions,
+    PeriodOptions,
+    WindowsOptions,
+)
 from jaxnh.analyses.options.trajectories import DiagramOptions, PoincareOptions, PortraitOptions
 
 OPTIONS: dict[str, type[Options]] = {
@@ -22,6 +29,7 @@ OPTIONS: dict[str, type[Options]] = {
         CurvesOptions,
         WindowsOptions,
         ReversalOptions,
+        OrbitsOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -68,3 +69,19 @@ def rule(message: str, *keys: str) -> PydanticCustomError:
         keys: dotted paths, from where the validator stands, of the values concerned, the most likely culprit first.
     """
     return PydanticCustomError("rule", "{message}", {"message": message, "keys": keys})
+
+
+def check_random_starts(box: Mapping[str, tuple[float, float]], n_starts: int, seeded: bool) -> None:
+    """Check that random starts have a box to be drawn from, whose sides are in order, and that a seed is of some."""
+    if bool(n_starts) != bool(box):
+        raise rule(*(("needs n_starts, their number", "box") if box else ("needs a box to draw from", "n_starts")))
+    check_sides(box)
+    if seeded and not n_starts:
+        raise rule("goes with starts, and there are none", "seed")
+
+
+def check_sides(box: Mapping[str, tuple[float, float]]) -> None:
+    """Check that of each side of a box the lower number stands first."""
+    for name, (low, high) in box.items():
+        if not low < high:
+            raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import BLOCKS, Options, Side, rule
+from jaxnh.analyses.options.base import BLOCKS, Options, Side, check_random_starts, rule
 
 
 class BasinsOptions(Options):
@@ -38,15 +38,7 @@ class BasinsOptions(Options):
 
     @model_validator(mode="after")
     def _check(self) -> BasinsOptions:
-        if bool(self.n_starts) != bool(self.box):
-            raise rule(
-                *(("needs n_starts, their number", "box") if self.box else ("needs a box to draw from", "n_starts"))
-            )
-        for name, (low, high) in self.box.items():
-            if not low < high:
-                raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
-        if "seed" in self.model_fields_set and not self.n_starts:
-            raise rule("goes with starts, and there are none", "seed")
+        check_random_starts(self.box, self.n_starts, "seed" in self.model_fields_set)
         if self.max_periods < 2 * self.transient:
             raise rule(f"must be at least twice the transient, {2 * self.transient}", "max_periods", "transient")
         return self

@@ -1,4 +1,4 @@
-"""Options of the analyses that follow orbits: periods, cascades, branches, curves, windows."""
+"""Options of the analyses that follow orbits: periods, cascades, branches, curves, windows, all orbits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import Options, Side, rule
+from jaxnh.analyses.options.base import Options, Side, check_random_starts, check_sides, rule
 
 
 class PeriodOptions(Options):
@@ -58,9 +58,7 @@ class BranchesOptions(Options):
         asked = "n_starts" if self.n_starts else "equilibria"
         if bool(self.n_starts or self.equilibria) != bool(self.box):
             raise rule(*(("needs n_starts, their number", "box") if self.box else ("needs a box to draw from", asked)))
-        for name, (low, high) in self.box.items():
-            if not low < high:
-                raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
+        check_sides(self.box)
         for name in ("seed", "n_values"):
             if name in self.model_fields_set and not self.box:
                 raise rule("goes with starts, and there are none", name)
@@ -100,3 +98,25 @@ class WindowsOptions(Options):
         ge=0,
         description="Periods of a path, at most, that looks for the crisis beyond where doublings accumulate; 0: none",
     )
+
+
+class OrbitsOptions(Options):
+    """Options of `orbits`."""
+
+    newton: ClassVar[bool] = True
+
+    max_period: int = Field(default=8, ge=1, le=32, description="Largest number of returns of the orbits")
+    transient: int = Field(default=512, ge=1, description="Periods, or crossings, before motions are looked at")
+    rounds: int = Field(
+        default=32, ge=2, le=1024, description="Rounds of the search, at most; it ends where none leaves doubts"
+    )
+    n_starts: int = Field(default=0, ge=0, description="Random starts of Newton in each round; needs a box")
+    seed: int = Field(default=0, ge=0, description="Seed of the random starts")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> OrbitsOptions:
+        check_random_starts(self.box, self.n_starts, "seed" in self.model_fields_set)
+        return self

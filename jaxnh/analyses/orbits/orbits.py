@@ -1,0 +1,108 @@
+"""All periodic orbits of the return map of every lane up to a number of returns, stable or not.
+
+Lanes settle by themselves; then orbits are sought in all of them together (`search`), so that each is tried with those of
+its neighbours, and measured (`measurement`). How often orbits were met says how many are missing (`missing`), and their
+numbers say how they grow (`entropy`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Int
+
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, SweepLanes, SweepReduction, variable
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
+from jaxnh.analyses.options.orbits import OrbitsOptions
+from jaxnh.analyses.orbits.measurement import measure
+from jaxnh.analyses.orbits.search import WINDOWS, search, search_neighbours
+from jaxnh.analyses.orbits.starts import WINDOW
+from jaxnh.analyses.orbits.tables import OWN_NAMES, LaneOrbits, counts_group, counts_table, orbits_group
+from jaxnh.analyses.periodic.attractor_survey import first_points
+from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
+from jaxnh.analyses.random_starts import check_box
+from jaxnh.analyses.section_points import points_after
+
+_NEWTON = 60.0  # periods of a start of Newton for each return, the tangents of a period counted: a guess
+_ROUNDS = 8  # that are made of most lanes
+
+
+def periods(options: OrbitsOptions, lanes: int) -> float:
+    """Return the lane-periods of a run: a guess, as the number of rounds is not known."""
+    starts = (2 * WINDOWS + options.n_starts) * options.max_period**2 / 2
+    rounds = min(options.rounds, _ROUNDS)
+    return lanes * (options.transient + rounds * (WINDOWS * WINDOW + _NEWTON * starts))
+
+
+def check(options: OrbitsOptions, setting: Setting) -> None:
+    """Check the box of random starts, and that no parameter or coordinate has a name that the group needs."""
+    taken = {*setting.flow.coordinates, *(axis.name for axis in setting.axes)}
+    for name in sorted(taken & set(OWN_NAMES)):
+        raise OptionError(f"{name} is what orbits calls a number of its own; rename it")
+    if options.box:
+        check_box(options.box, setting, "box")
+
+
+def run(options: OrbitsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
+    """Return the point of every lane after the transient."""
+    with lanes.stage(f"orbits: {batch.count} lanes to their attractors", float(batch.count * options.transient)):
+        u = points_after(batch, lanes, first_points(batch, lanes), options.transient - 1, 1)[:, 0]
+    return xr.Dataset({"lane_u": variable((LANE, "lane_component"), u, "point of a lane")})
+
+
+def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
+    """Return the groups `orbits` and `orbit_counts` of all lanes, from the points that they have settled at."""
+    u = data["lane_u"].to_numpy()
+    u = u.reshape(-1, u.shape[-1])
+    shape = tuple(len(axis.values) for axis in sweep.axes)
+    parts = list[LaneOrbits]()
+    for numbers, batch in sweep.rows:
+        strobes = refined_maps(batch)[:2]
+        pairs = _neighbours(sweep.axes, shape, numbers)
+        found = search(options, batch, lanes, strobes[0], u[numbers])
+        with lanes.stage(f"orbits: those of neighbours in {batch.count} lanes", 0):
+            found = search_neighbours(found, batch, lanes, strobes[0], pairs)
+        with lanes.stage("orbits: periods and multipliers", 0):
+            measured = {
+                n: measure(batch, lanes, strobes, cycles, found.size)
+                for n, cycles in found.cycles.items()
+                if len(cycles.lane)
+            }
+        parts.append(LaneOrbits(numbers, batch, found, measured))
+    return {
+        "orbits": orbits_group(options, lanes, parts, len(u)),
+        "orbit_counts": counts_group(options.max_period, parts, len(u)),
+    }
+
+
+def _neighbours(
+    axes: Sequence[Axis], shape: tuple[int, ...], numbers: Int[np.ndarray, " lanes"]
+) -> Int[np.ndarray, "pairs 2"]:
+    """Return places among lanes of two whose values are neighbours along one axis, each pair both ways."""
+    place = np.full(shape, -1)
+    place.flat[numbers] = np.arange(len(numbers))
+    pairs = [np.zeros((0, 2), int)]
+    for k, axis in enumerate(axes):
+        order = place.take(np.argsort(axis.values, kind="stable"), axis=k)
+        ahead, behind = (np.moveaxis(order, k, 0)[part].ravel() for part in (slice(1, None), slice(None, -1)))
+        both = np.stack([ahead, behind], axis=1)
+        pairs += [both, both[:, ::-1]]
+    every = np.concatenate(pairs)
+    return every[(every >= 0).all(axis=1)]
+
+
+ANALYSIS = Analysis(
+    "orbits",
+    OrbitsOptions,
+    periods,
+    run,
+    whole=SweepReduction(("orbit_counts",), reduce),
+    check=check,
+    other_tables={"orbit_counts": counts_table},
+    price=price_of_orbits,
+    brief={"transient": 1, "max_period": 1},
+)
+"""The entry of this analysis in the table."""

@@ -1,0 +1,202 @@
+"""Search for all periodic orbits up to a number of returns: Newton from motions of each lane, round by round.
+
+In a round the attractor of each lane is followed for as many strobes as in any other, and from each number of returns on
+Newton is started by multiple shooting: from the closest return and from the first point of every window, and from random
+starts. A round begins where the last one has ended, so that rounds are samples alike. Orbits that one lane has and its
+neighbours have not are tried in these in the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.options.orbits import OrbitsOptions
+from jaxnh.analyses.orbits.recognition import Cycles, merge_cycles, no_cycles, primitive_period
+from jaxnh.analyses.orbits.starts import WINDOW, close_returns, stretches
+from jaxnh.analyses.periodic.attractor_survey import first_points
+from jaxnh.analyses.periodic.newton_on_lanes import images
+from jaxnh.analyses.random_starts import random_start_batch
+from jaxnh.analyses.section_points import points_after
+from jaxnh.maps.family import Maps
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.shooting import Period, orbits_from_afar
+
+WINDOWS = 16
+"""Windows of a round."""
+
+_LEAST_ROUNDS = 4
+_FARTHEST = 100.0  # sizes of the motion: orbits further out are none of this motion
+
+
+class Search(NamedTuple):
+    """Orbits of all lanes of a batch.
+
+    Attributes:
+        cycles: by number of returns.
+        rounds: that were made of each lane, (lanes,).
+        size: of the motion in each section coordinate, (lanes, d).
+        moving: whether the motion from the start state stays finite, (lanes,).
+    """
+
+    cycles: Mapping[int, Cycles]
+    rounds: Int[np.ndarray, " lanes"]
+    size: Float[np.ndarray, "lanes d"]
+    moving: Bool[np.ndarray, " lanes"]
+
+
+def search(
+    options: OrbitsOptions, batch: LaneBatch, lanes: LaneRunner, strobe: Maps, u: Float[np.ndarray, "lanes d"]
+) -> Search:
+    """Return the orbits that rounds of Newton find, from points of lanes that have settled.
+
+    A lane is searched until each orbit known has been met in three rounds or more, or for as many as are allowed.
+
+    Args:
+        strobe: the map that orbits are sought of.
+    """
+    d, limit, length = batch.chart.dimension, options.max_period, WINDOWS * WINDOW
+    cycles = {n: no_cycles(n, d) for n in range(1, limit + 1)}
+    made, at, size = np.zeros(batch.count, int), np.array(u), np.full((batch.count, d), np.nan)
+    random = _random_paths(options, batch, lanes)
+    open_ = np.arange(batch.count)
+    for turn in range(options.rounds):
+        with lanes.stage(f"orbits: round {turn + 1}, {len(open_)} lanes", float(len(open_) * length)):
+            part = batch.take(open_)
+            path = points_after(part, lanes, at[open_], 0, length + limit)
+            if not turn:
+                size = _sizes(batch, path, random)
+            at[open_] = path[:, length - 1]
+            paths = [path, *([random[open_, turn]] if random is not None else [])]
+            found = _round(options, part, lanes, strobe, paths, size[open_])
+        for n, new in found.items():
+            cycles[n] = merge_cycles(cycles[n], new._replace(lane=open_[new.lane]), size, batch.chart.wrap)
+        made[open_] += 1
+        if turn + 1 >= _LEAST_ROUNDS:
+            open_ = open_[_doubtful(cycles, batch.count)[open_]]
+        if not len(open_):
+            break
+    return Search(cycles, made, size, np.isfinite(at).all(axis=1))
+
+
+def search_neighbours(
+    found: Search, batch: LaneBatch, lanes: LaneRunner, strobe: Maps, neighbours: Int[np.ndarray, "pairs 2"]
+) -> Search:
+    """Return the orbits with those that lanes have in common with neighbours, by Newton from the orbits of these.
+
+    Args:
+        neighbours: numbers of a lane and of one that has values of the parameters next to its own.
+    """
+    cycles, wrap = dict(found.cycles), batch.chart.wrap
+    fresh = {n: np.arange(len(of.lane)) for n, of in cycles.items()}
+    while any(len(numbers) for numbers in fresh.values()) and len(neighbours):
+        more = dict[int, list[Cycles]]()
+        for n, numbers in fresh.items():
+            number, pair = np.nonzero(cycles[n].lane[numbers][:, None] == neighbours[None, :, 0])
+            if len(number):
+                points, lane = cycles[n].points[numbers[number]], neighbours[pair, 1]
+                for new in newton(batch, lanes, strobe, points, lane, found.size):
+                    more.setdefault(new.points.shape[1], []).append(new)
+        before = {n: len(of.lane) for n, of in cycles.items()}
+        for n, parts in more.items():
+            cycles[n] = merge_cycles(cycles[n], joined(parts), found.size, wrap, sample=False)
+        fresh = {n: np.arange(before[n], len(of.lane)) for n, of in cycles.items()}
+    return found._replace(cycles=cycles)
+
+
+def joined(parts: Sequence[Cycles]) -> Cycles:
+    """Return orbits of one number of returns together."""
+    return Cycles(*(np.concatenate(leaves) for leaves in zip(*parts, strict=True)))
+
+
+def map_of_lanes(batch: LaneBatch, lanes: LaneRunner, strobe: Maps) -> Period:
+    """Return P and ∂P/∂u at points of lanes of a batch, which are given by their numbers."""
+    at = images(lanes, strobe, dict(batch.p), np.ones(batch.count, np.int32))
+
+    def period(u: Float[np.ndarray, "points d"], lane: Int[np.ndarray, " points"]) -> Derivatives:
+        return at(u, lane)
+
+    return period
+
+
+def newton(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    strobe: Maps,
+    points: Float[np.ndarray, "starts n d"],
+    lane: Int[np.ndarray, " starts"],
+    size: Float[np.ndarray, "lanes d"],
+) -> list[Cycles]:
+    """Return the orbits that Newton finds from stretches of motions of lanes, by their primitive period."""
+    wrap = batch.chart.wrap
+    orbits = orbits_from_afar(map_of_lanes(batch, lanes, strobe), points, lane, size[lane], wrap)
+    with np.errstate(invalid="ignore"):
+        near = np.max(np.abs(orbits.points) / size[lane][:, None], axis=(1, 2)) < _FARTHEST
+    good = orbits.converged & near
+    lane, points = lane[good], orbits.points[good]
+    primitive = primitive_period(points, size[lane], wrap)
+    periods = np.unique(primitive).tolist()
+    return [
+        Cycles(lane[primitive == m], points[primitive == m][:, :m], np.zeros(np.sum(primitive == m), int))
+        for m in periods
+    ]
+
+
+def _round(
+    options: OrbitsOptions,
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    strobe: Maps,
+    paths: Sequence[Float[np.ndarray, "..."]],
+    size: Float[np.ndarray, "lanes d"],
+) -> dict[int, Cycles]:
+    """Return the orbits that a round finds by number of returns, from one path of each lane and random ones."""
+    (path, *random), found = paths, dict[int, list[Cycles]]()
+    for n in range(1, options.max_period + 1):
+        starts = [close_returns(path, n, WINDOWS, size, batch.chart.wrap)]
+        starts.append(stretches(path, n, np.broadcast_to(WINDOW * np.arange(WINDOWS), (batch.count, WINDOWS))))
+        for more in random:
+            points, which = stretches(more.reshape(-1, *more.shape[2:]), n, np.zeros((more[..., 0, 0].size, 1), int))
+            starts.append((points, which // more.shape[1]))
+        points, lane = (np.concatenate(leaves) for leaves in zip(*starts, strict=True))
+        if len(lane):
+            for cycles in newton(batch, lanes, strobe, points, lane, size):
+                found.setdefault(cycles.points.shape[1], []).append(cycles)
+    return {n: joined(parts) for n, parts in found.items()}
+
+
+def _random_paths(
+    options: OrbitsOptions, batch: LaneBatch, lanes: LaneRunner
+) -> Float[np.ndarray, "lanes rounds starts points d"] | None:
+    """Return motions from the random starts of all rounds, if there are any."""
+    if not options.n_starts:
+        return None
+    many, _ = random_start_batch(batch, options.rounds * options.n_starts, options.seed, options.box)
+    first = first_points(many, lanes)
+    later = points_after(many, lanes, first, 0, options.max_period - 1) if options.max_period > 1 else first[:, :0]
+    path = np.concatenate([first[:, None], later.reshape(len(first), -1, first.shape[1])], axis=1)
+    return path.reshape(batch.count, options.rounds, options.n_starts, *path.shape[1:])
+
+
+def _sizes(
+    batch: LaneBatch, path: Float[np.ndarray, "lanes points d"], random: Float[np.ndarray, "lanes ..."] | None
+) -> Float[np.ndarray, "lanes d"]:
+    """Return the largest modulus of each coordinate of the motion of each lane, or of its random starts; of angles 1."""
+    modulus = np.max(np.abs(path), axis=1)
+    if random is not None:
+        starts = np.max(np.abs(random[..., 0, :]), axis=(1, 2))
+        modulus = np.where(np.isfinite(modulus).all(axis=1, keepdims=True), np.maximum(modulus, starts), starts)
+    plain = np.isfinite(modulus) & (modulus > 0.0) & ~np.array(batch.chart.angles)
+    return np.where(plain, modulus, 1.0)
+
+
+def _doubtful(cycles: Mapping[int, Cycles], count: int) -> Bool[np.ndarray, " lanes"]:
+    """Return which lanes have orbits that were met in one round or two alone."""
+    doubtful = np.zeros(count, bool)
+    for of in cycles.values():
+        doubtful[of.lane[of.rounds <= 2]] = True
+    return doubtful

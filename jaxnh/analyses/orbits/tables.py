@@ -1,0 +1,209 @@
+"""The groups `orbits`, over lanes and their orbits, and `orbit_counts`, over numbers of returns; the table of these."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import xarray as xr
+from jaxtyping import Int
+
+from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
+from jaxnh.analyses.options.orbits import OrbitsOptions
+from jaxnh.analyses.orbits.entropy import topological_entropy
+from jaxnh.analyses.orbits.measurement import STABILITIES, MeasuredCycles
+from jaxnh.analyses.orbits.missing import missing_orbits
+from jaxnh.analyses.orbits.search import Search
+from jaxnh.analyses.section_points import states_at
+from jaxnh.analyses.trajectories.states import section_attrs
+from jaxnh.maps.section import outputs, plot_plane
+from jaxnh.systems.flow import NOT_FINITE, status
+
+OWN_NAMES = (
+    "orbit", "n", "multiplier", "part", "iterate", "period", "time", "time_error", "multipliers", "multipliers_error",
+    "index", "stability", "met", "residual", "number", "missing", "missing_low", "missing_high", "entropy",
+    "entropy_error", "rounds", "status",
+)  # fmt: skip
+"""Names of variables and dimensions that no parameter or coordinate may have."""
+
+
+class LaneOrbits(NamedTuple):
+    """Orbits of the lanes of one batch.
+
+    Attributes:
+        numbers: of the lanes, in the order of the sweep, (lanes,).
+        batch: the lanes.
+        found: the orbits, and how they were found.
+        measured: their numbers, by number of returns.
+    """
+
+    numbers: Int[np.ndarray, " lanes"]
+    batch: LaneBatch
+    found: Search
+    measured: Mapping[int, MeasuredCycles]
+
+
+class _Row(NamedTuple):
+    """Where orbits of n returns of one batch go: lane and place in it, (cycles,)."""
+
+    part: LaneOrbits
+    n: int
+    lane: Int[np.ndarray, " cycles"]
+    place: Int[np.ndarray, " cycles"]
+
+
+def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[LaneOrbits], count: int) -> xr.Dataset:
+    """Return the variables over (lane, orbit), by number of returns and then by time."""
+    rows, limit = [row for part in parts for row in _rows(part)], options.max_period
+    most = max((int(row.place.max()) + 1 for row in rows if len(row.place)), default=0)
+
+    def whole(values: Sequence[np.ndarray], empty: float = np.nan) -> np.ndarray:
+        shape = values[0].shape[1:] if values else ()
+        made = np.full((count, most, *shape), empty)
+        for row, one in zip(rows, values, strict=True):
+            made[row.lane, row.place] = one
+        return made
+
+    def column(name: str, empty: float = np.nan) -> np.ndarray:
+        return whole([getattr(row.part.measured[row.n], name) for row in rows], empty)
+
+    batch, dims = parts[0].batch, (LANE, "orbit")
+    parts_of = [_real_and_imaginary(row.part.measured[row.n].multipliers) for row in rows]
+    errors = [row.part.measured[row.n].multipliers_error for row in rows]
+    if not rows:
+        parts_of, errors = [np.zeros((0, batch.chart.dimension, 2))] * 0, []
+    time, unit = {"units": batch.flow.labels.units["t"]}, iterate_units(batch.system)
+    period = whole([np.full(len(row.lane), row.n) for row in rows], 0).astype(np.int32)
+    words = "primitive period of the orbit, in returns"
+    d = batch.chart.dimension
+    variables: dict[str, Entry] = {
+        "period": number_variable(dims, period, words, ("none",), counted_in=unit),
+        "time": variable(dims, column("time"), "period of the orbit in time", **time),
+        "time_error": variable(dims, column("time_error"), "error of the period in time", **time),
+        "multipliers": variable(
+            (*dims, "multiplier", "part"),
+            whole(parts_of) if rows else np.zeros((count, 0, d, 2)),
+            "Floquet multipliers, real and imaginary part",
+        ),
+        "multipliers_error": variable(
+            (*dims, "multiplier"),
+            whole(errors) if rows else np.zeros((count, 0, d)),
+            "error of the multipliers, in modulus",
+        ),
+        "index": variable(dims, column("index", 0).astype(np.int8), "fixed-point index, the sign of det(1 - DP^n)"),
+        "stability": flag(dims, column("stability", -1), "stability of the orbit", STABILITIES, -1),
+        "met": variable(
+            dims,
+            whole([row.part.found.cycles[row.n].rounds for row in rows], 0).astype(np.int32),
+            "number of rounds in which the orbit was met; of one known from a neighbour alone 0",
+        ),
+        "residual": variable(dims, column("residual"), "largest component of P(u) − u, in sizes of the motion"),
+        **_coordinates(lanes, rows, whole, limit),
+        "status": _status(parts, count),
+    }
+    return xr.Dataset(variables, attrs=section_attrs(batch))
+
+
+def _rows(part: LaneOrbits) -> list[_Row]:
+    """Return where the orbits of a batch go: in each lane by number of returns, then by time and first coordinate."""
+    rows, filled = list[_Row](), np.zeros(part.batch.count, int)
+    for n, measured in part.measured.items():
+        lane = part.found.cycles[n].lane
+        order = np.lexsort((measured.points[:, 0, 0], measured.time, lane))
+        first = np.searchsorted(lane[order], np.arange(part.batch.count))
+        place = np.empty(len(lane), int)
+        place[order] = np.arange(len(lane)) - first[lane[order]] + filled[lane[order]]
+        filled += np.bincount(lane, minlength=part.batch.count)
+        rows.append(_Row(part, n, part.numbers[lane], place))
+    return rows
+
+
+def counts_group(limit: int, parts: Sequence[LaneOrbits], count: int) -> xr.Dataset:
+    """Return numbers of orbits and of those that are missing, over (lane, n), and their growth."""
+    number, estimates = np.zeros((count, limit), np.int32), np.zeros((3, count, limit))
+    growth, rounds = np.full((2, count), np.nan), np.zeros(count, np.int32)
+    for part in parts:
+        for place, lane in enumerate(part.numbers):
+            for n, cycles in part.found.cycles.items():
+                met = cycles.rounds[cycles.lane == place]
+                number[lane, n - 1] = len(met)
+                estimates[:, lane, n - 1] = missing_orbits(met, int(part.found.rounds[place]))
+            growth[:, lane] = topological_entropy(number[lane].astype(float), estimates[2, lane])
+            rounds[lane] = part.found.rounds[place]
+    of_n = (LANE, "n")
+    words = "of the 95 % interval of the number of missing orbits"
+    variables = {
+        "n": variable("n", np.arange(1, limit + 1), "number of returns"),
+        "number": variable(of_n, number, "number of orbits of n returns that were found"),
+        "missing": variable(of_n, estimates[0], "estimated number of orbits of n returns that were not found"),
+        "missing_low": variable(of_n, estimates[1], f"lower end {words}"),
+        "missing_high": variable(of_n, estimates[2], f"upper end {words}"),
+        "entropy": variable(LANE, growth[0], "topological entropy per return, from the numbers of orbits"),
+        "entropy_error": variable(LANE, growth[1], "error of the topological entropy"),
+        "rounds": variable(LANE, rounds, "number of rounds of the search"),
+        "status": _status(parts, count),
+    }
+    return xr.Dataset(variables)
+
+
+def _status(parts: Sequence[LaneOrbits], count: int) -> Entry:
+    """Return which lanes have failed: those whose motion is not finite, and for which no start has led to an orbit."""
+    failed = np.zeros(count, bool)
+    for part in parts:
+        some = np.zeros(part.batch.count, bool)
+        for cycles in part.found.cycles.values():
+            some[cycles.lane] = True
+        failed[part.numbers] = ~part.found.moving & ~some
+    return as_variable(LANE, status(np.where(failed, NOT_FINITE, 0)))
+
+
+def _coordinates(lanes: LaneRunner, rows: Sequence[_Row], whole: Any, limit: int) -> dict[str, Entry]:
+    """Return coordinates of the first point of every orbit, and under NAME_points of all of them."""
+    columns, said = dict[str, list[np.ndarray]](), dict[str, Any]()
+    for row in rows:
+        batch, points = row.part.batch, row.part.measured[row.n].points
+        states = states_at(batch, lanes, points.reshape(-1, points.shape[2]))
+        named = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
+        for name in (*plot_plane(batch.system), *batch.flow.coordinates):
+            if name in named and len(columns.setdefault(name, [])) < rows.index(row) + 1:
+                said[name] = named[name]
+                filled = np.full((len(points), limit), np.nan)
+                filled[:, : row.n] = np.asarray(named[name].data)[:, 0].reshape(len(points), row.n)
+                columns[name].append(filled)
+    variables = dict[str, Entry]()
+    for name, values in columns.items():
+        words, attrs, every = said[name].long_name, said[name].attrs, whole(values)
+        variables[name] = variable((LANE, "orbit"), every[..., 0], f"{words} of the orbit's first point", **attrs)
+        variables[f"{name}_points"] = variable(
+            (LANE, "orbit", "iterate"), every, f"{words} of the orbit's points", **attrs
+        )
+    return variables
+
+
+def _real_and_imaginary(values: np.ndarray) -> np.ndarray:
+    return np.stack([np.real(values), np.imag(values)], axis=-1)
+
+
+def counts_table(data: xr.Dataset) -> Table:
+    """Return a row for each number of returns: orbits found and missing, of several lanes from the least to the most."""
+    number, low, high, missing = (
+        data[name].transpose(..., "n").to_numpy().reshape(-1, data.sizes["n"])
+        for name in ("number", "missing_low", "missing_high", "missing")
+    )
+    rows = []
+    for k, n in enumerate(data["n"].to_numpy().tolist()):
+        ends = f"{low[:, k].min():.3g} to {high[:, k].max():.3g}"
+        rows.append((str(n), _range(number[:, k]), _range(missing[:, k]), ends))
+    entropy = data["entropy"].to_numpy().ravel()
+    caption = ""
+    if entropy.size == 1 and np.isfinite(entropy[0]):
+        caption = f"topological entropy {entropy[0]:.6g} ± {float(data['entropy_error'].max()):.1g} per return"
+    return Table("Periodic orbits", ("returns", "orbits", "missing", "95 %"), tuple(rows), caption or None)
+
+
+def _range(values: np.ndarray) -> str:
+    low, high = f"{values.min():.3g}", f"{values.max():.3g}"
+    return low if low == high else f"{low} to {high}"
