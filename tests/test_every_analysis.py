@@ -49,6 +49,7 @@ OPTIONS = {
     "curves": {"max_period": 2, "transient": 64},
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
+    "orbits": {"max_period": 2, "transient": 64, "rounds": 4},
 }
 
 
@@ -218,6 +219,30 @@ def repellers(*expected):
     return check
 
 
+def orbit_numbers(expected):
+    """So many orbits of one return and of two, and these are exact."""
+
+    def check(data, groups):
+        number, values = lanes_of(groups["orbit_counts"], "number")
+        assert number.tolist() == np.stack(np.broadcast_arrays(*expected(values)), axis=-1).tolist()
+        period, residual, _ = lanes_of(data, "period", "residual")
+        assert residual[period > 0].max() < 1e-7
+
+    return check
+
+
+def orbits_beside(expected):
+    """No fewer orbits of one return and of two than are known, and these are exact."""
+
+    def check(data, groups):
+        number, values = lanes_of(groups["orbit_counts"], "number")
+        assert np.all(number >= np.stack(np.broadcast_arrays(*expected(values)), axis=-1))
+        period, residual, _ = lanes_of(data, "period", "residual")
+        assert residual[period > 0].max(initial=0.0) < 1e-7
+
+    return check
+
+
 def doubling(name, expected):
     """One doubling at each point of the other axes, within its error and what steps leave."""
 
@@ -358,6 +383,7 @@ MOEBIUS = {
     "curves": ONE_PARAMETER.format("mu"),
     "basins": one_attractor,
     "reversal": NO_REVERSAL,
+    "orbits": orbit_numbers(lambda values: (1, beyond(values) > 0)),
 }
 IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
@@ -404,6 +430,7 @@ def particle(names, rates=paper_equations.at_speed):
         "curves": ONE_PARAMETER.format("b"),
         "basins": one_attractor,
         "reversal": repellers("dissipative"),
+        "orbits": orbits_beside(lambda values: (1, values["b"] < first_doubling())),
     }
 
 
@@ -471,6 +498,7 @@ KINDS = {
             "basins": one_attractor,
             "period": periods(lambda values: 2),
             "lyapunov": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
+            "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
             "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
             "windows": "u is a coordinate of the start state",
             "branches": "u is a coordinate of the start state",
@@ -523,6 +551,7 @@ KINDS = {
             "curves": ONE_PARAMETER.format("damping"),
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
+            "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
         },
         constrained_oscillators.SLIDE,
     ),
@@ -549,6 +578,7 @@ KINDS = {
             "curves": ONE_PARAMETER.format("damping"),
             "basins": one_attractor,
             "reversal": "no reversal is known of quasi-velocities",
+            "orbits": orbit_numbers(lambda values: (1, 0 * values["damping"])),
         },
         constrained_oscillators.NEEDLE,
     ),
@@ -579,6 +609,7 @@ KINDS = {
             "curves": ONE_PARAMETER.format("mu"),
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
+            "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
         },
         constrained_oscillators.CYCLE,
         {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}},
@@ -602,6 +633,7 @@ KINDS = {
             "curves": ONE_PARAMETER.format("b"),
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
+            "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
         },
     ),
     "no forcing, on a section": Kind(
@@ -625,6 +657,7 @@ KINDS = {
             "curves": ONE_PARAMETER.format("b"),
             "basins": nothing_periodic,
             "reversal": repellers("conservative", "undecided"),
+            "orbits": orbits_beside(lambda values: (0, 0 * values["b"])),
         },
         options={"doubling": {"levels": 1, "search": False}},
     ),

@@ -98,6 +98,11 @@ def _of_curves(data: xr.Dataset, panel: str, *own: str) -> _Description:
 
 
 _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description] | None]] = {
+    "orbit_counts": (
+        ("missing_high",),
+        lambda _: _Description("curves", ("number",), ("n",), "periodic orbits", "none"),
+    ),
+    "orbits": (("met",), None),
     "reversal": (
         ("repeller_exponents",),
         lambda _: _Description("curves", ("distance", "overlap"), (), "distance and overlap", "0 1"),

@@ -14,7 +14,7 @@ _OF_TIME = {
     "repeller_exponents",
     "exponent_sum",
     "transverse",
-    "sum_rule_residual",
+    "sum_rule_residual", "time",
     "volume_residual",
     "t",
     "drift",

@@ -108,7 +108,7 @@ class OrbitsOptions(Options):
     max_period: int = Field(default=8, ge=1, le=32, description="Largest number of returns of the orbits")
     transient: int = Field(default=512, ge=1, description="Periods, or crossings, before motions are looked at")
     rounds: int = Field(
-        default=32, ge=2, le=1024, description="Rounds of the search, at most; it ends where none leaves doubts"
+        default=32, ge=4, le=1024, description="Rounds of the search, at most; it ends where none leaves doubts"
     )
     n_starts: int = Field(default=0, ge=0, description="Random starts of Newton in each round; needs a box")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")

@@ -5,35 +5,32 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-_LAST = 3  # orders beside the highest by which convergence is judged
+_ORDERS = 4  # the highest, by which convergence is judged
 
 
 def topological_entropy(number: Float[np.ndarray, " n"], missing: Float[np.ndarray, " n"]) -> tuple[float, float]:
     """Return the entropy per return, and its error, from the numbers of primitive orbits of 1, 2, …, n returns.
 
-    The zeta function of Artin and Mazur (Ann. Math. 81 (1965) 82), 1/ζ(z) = ∏ (1 − z^m)^(number of orbits of m returns),
-    has its least zero at e^(−h) where the numbers of orbits grow by the entropy h, as of hyperbolic sets (Bowen, Trans.
-    Am. Math. Soc. 154 (1971) 377). Its Taylor polynomials converge faster than the growth itself: the error is the
-    largest difference from the last lower orders, and what missing orbits would add.
+    The numbers N_n of points of period n, primitive or not, grow by it: h = lim ln N_n / n on hyperbolic sets (Bowen,
+    Trans. Am. Math. Soc. 154 (1971) 377), where N_n = e^(hn) up to a factor that tends to one. The error is the largest
+    difference of the value at n from those at the three numbers of returns before, and what missing orbits would add.
 
     Args:
         number: of orbits known.
         missing: how many may be missing at most.
+
+    Returns:
+        Not numbers where there are fewer than four numbers of returns, or no orbit.
     """
-    orders = range(max(1, len(number) - _LAST), len(number) + 1)
-    values = np.array([_from_zero(number[:order]) for order in orders])
-    if not np.any(number > 0):
+    known, most = _growth(number), _growth(number + missing)
+    if len(known) < _ORDERS or not number.any():
         return np.nan, np.nan
-    return float(values[-1]), float(np.max(np.abs(values - values[-1])) + _from_zero(number + missing) - values[-1])
+    lower = known[-_ORDERS:-1]
+    return float(known[-1]), float(np.max(np.abs(lower - known[-1])) + most[-1] - known[-1])
 
 
-def _from_zero(number: Float[np.ndarray, " n"]) -> float:
-    """Return −ln z of the least zero in (0, 1] of the polynomial of order n; zero where it has none."""
-    n = len(number)
-    fixed = [sum(m * number[m - 1] for m in range(1, k + 1) if k % m == 0) for k in range(1, n + 1)]
-    terms = [1.0]
-    for k in range(1, n + 1):
-        terms.append(-sum(fixed[j - 1] * terms[k - j] for j in range(1, k + 1)) / k)
-    roots = np.roots(np.trim_zeros(terms[::-1], "f"))
-    real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0) & (roots.real <= 1.0)]
-    return float(-np.log(real.min())) if len(real) else 0.0
+def _growth(number: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return ln N_n / n for each n, zero where there is no point of that period."""
+    n = np.arange(1, len(number) + 1)
+    points = np.array([np.sum(n * number * (k % n == 0)) for k in n])
+    return np.log(np.maximum(points, 1.0)) / n

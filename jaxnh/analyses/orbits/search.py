@@ -12,24 +12,28 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import OrbitsOptions
-from jaxnh.analyses.orbits.recognition import Cycles, merge_cycles, no_cycles, primitive_period
+from jaxnh.analyses.orbits.recognition import Cycles, equal_cycles, merge_cycles, no_cycles, primitive_period
 from jaxnh.analyses.orbits.starts import WINDOW, close_returns, stretches
-from jaxnh.analyses.periodic.attractor_survey import first_points
+from jaxnh.analyses.periodic.attractor_survey import first_points, motion_sizes
 from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import random_start_batch
-from jaxnh.analyses.section_points import points_after
+from jaxnh.analyses.section_points import points_after, points_at, states_after, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives
+from jaxnh.maps.section import Section
 from jaxnh.orbits.shooting import Period, orbits_from_afar
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.state import State
 
 WINDOWS = 16
 """Windows of a round."""
 
 _LEAST_ROUNDS = 4
+_AT_REST = 1e-6  # sizes of the motion a unit of time: where the section is crossed no faster it is not crossed
 _FARTHEST = 100.0  # sizes of the motion: orbits further out are none of this motion
 
 
@@ -67,9 +71,10 @@ def search(
     for turn in range(options.rounds):
         with lanes.stage(f"orbits: round {turn + 1}, {len(open_)} lanes", float(len(open_) * length)):
             part = batch.take(open_)
-            path = points_after(part, lanes, at[open_], 0, length + limit)
+            states = states_after(part, lanes, states_at(part, lanes, at[open_]), 0, length + limit)
+            path = points_at(part, lanes, states)
             if not turn:
-                size = _sizes(batch, path, random)
+                size = _sizes(batch, lanes, path, states, random)
             at[open_] = path[:, length - 1]
             paths = [path, *([random[open_, turn]] if random is not None else [])]
             found = _round(options, part, lanes, strobe, paths, size[open_])
@@ -133,10 +138,12 @@ def newton(
 ) -> list[Cycles]:
     """Return the orbits that Newton finds from stretches of motions of lanes, by their primitive period."""
     wrap = batch.chart.wrap
+    first = equal_cycles(lane, points, size[lane], wrap) == np.arange(len(lane))  # one of those on a periodic motion
+    points, lane = points[first], lane[first]
     orbits = orbits_from_afar(map_of_lanes(batch, lanes, strobe), points, lane, size[lane], wrap)
     with np.errstate(invalid="ignore"):
         near = np.max(np.abs(orbits.points) / size[lane][:, None], axis=(1, 2)) < _FARTHEST
-    good = orbits.converged & near
+    good = orbits.converged & near & _crosses(batch, lanes, orbits.points, lane, size)
     lane, points = lane[good], orbits.points[good]
     primitive = primitive_period(points, size[lane], wrap)
     periods = np.unique(primitive).tolist()
@@ -144,6 +151,28 @@ def newton(
         Cycles(lane[primitive == m], points[primitive == m][:, :m], np.zeros(np.sum(primitive == m), int))
         for m in periods
     ]
+
+
+def _crosses(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    points: Float[np.ndarray, "cycles n d"],
+    lane: Int[np.ndarray, " cycles"],
+    size: Float[np.ndarray, "lanes d"],
+) -> Bool[np.ndarray, " cycles"]:
+    """Return whether a section is crossed at all points; an equilibrium on it is a fixed point of no return."""
+    section, (count, n, d) = batch.system, points.shape
+    if not isinstance(section, Section):
+        return np.ones(count, bool)
+    p = {name: np.repeat(values[lane], n) for name, values in batch.p.items()}
+    rate = np.asarray(lanes(_crossing_rate, (section,), (points.reshape(-1, d), p))).reshape(count, n)
+    rate = np.abs(rate) if section.direction == "both" else rate
+    with np.errstate(invalid="ignore"):
+        return np.all(rate > _AT_REST * size[lane].max(axis=1)[:, None] / section.flow.period, axis=1)
+
+
+def _crossing_rate(section: Section, u: Float[Array, " d"], p: Parameters) -> Array:
+    return section.rate(section.chart.state(u).state, p)
 
 
 def _round(
@@ -183,15 +212,20 @@ def _random_paths(
 
 
 def _sizes(
-    batch: LaneBatch, path: Float[np.ndarray, "lanes points d"], random: Float[np.ndarray, "lanes ..."] | None
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    path: Float[np.ndarray, "lanes points d"],
+    states: State,
+    random: Float[np.ndarray, "lanes ..."] | None,
 ) -> Float[np.ndarray, "lanes d"]:
-    """Return the largest modulus of each coordinate of the motion of each lane, or of its random starts; of angles 1."""
-    modulus = np.max(np.abs(path), axis=1)
-    if random is not None:
-        starts = np.max(np.abs(random[..., 0, :]), axis=(1, 2))
-        modulus = np.where(np.isfinite(modulus).all(axis=1, keepdims=True), np.maximum(modulus, starts), starts)
-    plain = np.isfinite(modulus) & (modulus > 0.0) & ~np.array(batch.chart.angles)
-    return np.where(plain, modulus, 1.0)
+    """Return the sizes of the motions of lanes, or of their random starts where these are larger; of angles one."""
+    if batch.chart.dimensionless:
+        return np.ones((batch.count, path.shape[2]))
+    size = motion_sizes(batch, lanes, path, states)
+    if random is None:
+        return size
+    starts = np.where(np.array(batch.chart.angles), 1.0, np.max(np.abs(random[..., 0, :]), axis=(1, 2)))
+    return np.where(np.isfinite(starts), np.maximum(size, starts), size)
 
 
 def _doubtful(cycles: Mapping[int, Cycles], count: int) -> Bool[np.ndarray, " lanes"]:

@@ -167,12 +167,12 @@ def _coordinates(lanes: LaneRunner, rows: Sequence[_Row], whole: Any, limit: int
         batch, points = row.part.batch, row.part.measured[row.n].points
         states = states_at(batch, lanes, points.reshape(-1, points.shape[2]))
         named = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
-        for name in (*plot_plane(batch.system), *batch.flow.coordinates):
-            if name in named and len(columns.setdefault(name, [])) < rows.index(row) + 1:
+        for name in dict.fromkeys((*plot_plane(batch.system), *batch.flow.coordinates)):
+            if name in named:
                 said[name] = named[name]
                 filled = np.full((len(points), limit), np.nan)
                 filled[:, : row.n] = np.asarray(named[name].data)[:, 0].reshape(len(points), row.n)
-                columns[name].append(filled)
+                columns.setdefault(name, []).append(filled)
     variables = dict[str, Entry]()
     for name, values in columns.items():
         words, attrs, every = said[name].long_name, said[name].attrs, whole(values)

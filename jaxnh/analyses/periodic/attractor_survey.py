@@ -194,7 +194,7 @@ def _survey_at(
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
         states = states_after(batch, lanes, states_at(batch, lanes, u, tile), wait, 2 * limit, tile)
     points = points_at(batch, lanes, states, tile)
-    size = np.ones_like(u) if batch.chart.dimensionless else _sizes(batch, lanes, points, states)
+    size = np.ones_like(u) if batch.chart.dimensionless else motion_sizes(batch, lanes, points, states)
     recurs = _recurrences(batch.chart, points, size, limit, least, only_doublings)
     period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
@@ -288,7 +288,7 @@ def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> Float[Arr
     return strobe.chart.point(strobe(state, p))
 
 
-def _sizes(
+def motion_sizes(
     batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"], states: State
 ) -> Float[np.ndarray, "lanes d"]:
     """Return the size of the motions in each section coordinate, from points and states of them.
