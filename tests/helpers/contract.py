@@ -14,9 +14,10 @@ _OF_TIME = {
     "repeller_exponents",
     "exponent_sum",
     "transverse",
-    "sum_rule_residual", "time",
+    "sum_rule_residual",
     "volume_residual",
     "t",
+    "time",
     "drift",
     "energy_lost",
 }

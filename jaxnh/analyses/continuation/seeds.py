@@ -6,22 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.periodic.attractor_survey import first_points
+from jaxnh.analyses.periodic.close_returns import WINDOW, nearest_returns, stretches
 from jaxnh.analyses.periodic.location import period_map
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.random_starts import Box, random_start_batch
 from jaxnh.analyses.section_points import points_after
 from jaxnh.maps.iterate import section_map
+from jaxnh.orbits.recognition import equal_cycles, primitive_period
 from jaxnh.orbits.shooting import orbits_from_afar
-from jaxnh.systems.chart import Wrap
 
 _FIRST_WAVE = 8  # lanes; every later wave has twice as many, half as far apart
-_WINDOWS, _WINDOW = 4, 16  # of a motion: the nearest return in each of so many stretches of so many strobes
-_SAME = 1e-6  # sizes of the motion: orbits this near are one
+_WINDOWS = 4  # of a motion
 _FARTHEST = 100.0  # sizes of the motion: orbits further out are none of this motion
 
 
@@ -46,57 +46,27 @@ def random_wave(
 ) -> list[SeedOrbit]:
     """Orbits of all periods up to a limit, stable or not, that Newton finds near motions from random starts.
 
-    Orbits are sought where a motion, or the same after a transient, nearly comes back (Auerbach et al., Phys. Rev.
-    Lett. 58 (1987) 2387), by multiple shooting: a motion that passes an unstable orbit is near all of its points.
+    Orbits are sought where a motion, or the same after a transient, nearly comes back, by multiple shooting.
     """
     many, _ = random_start_batch(batch, starts, seed, box)
     many = replace(many, axis=replace(batch.first_axis, values=np.repeat(batch.first_axis.values, starts)))
     strobe, wrap, values = many.strobe(), batch.chart.wrap, np.tile(many.first_axis.values, 2)
-    count, u = _WINDOWS * _WINDOW + limit, first_points(many, lanes)
+    count, u = _WINDOWS * WINDOW + limit, first_points(many, lanes)
     paths = [points_after(many, lanes, u, wait, count) for wait in (0, transient)]
     path, period = np.concatenate(paths), period_map(many, lanes, strobe)
     seeds = list[SeedOrbit]()
     for n in range(1, limit + 1):
-        points, lane = _returns(path, n, wrap, size)
+        # The first points are random, and lead to what repels from all sides as well.
+        nearest = nearest_returns(path, n, _WINDOWS, size, wrap)
+        points, lane = stretches(path, n, np.concatenate([np.zeros((len(path), 1), int), nearest], axis=1))
         orbit = orbits_from_afar(period, points, values[lane], size, wrap)
         near = np.max(np.abs(orbit.points) / size, axis=(1, 2)) < _FARTHEST
-        good = orbit.converged & near & _is_least(orbit.points, wrap, size)
+        good = orbit.converged & near & (primitive_period(orbit.points, size, wrap) == n)
         for value in np.unique(values[lane[good]]).tolist():
             here = orbit.points[good & (values[lane] == value)]
-            while len(here):  # the first, and all others but those that are it
-                seeds.append(SeedOrbit(here[0], value))
-                turns = [np.roll(here[0], m, 0) for m in range(n)]
-                away = [np.max(np.abs(wrap(here - turn)) / size, axis=(1, 2)) > _SAME for turn in turns]
-                here = here[np.all(away, axis=0)]
+            first = equal_cycles(np.zeros(len(here), int), here, size, wrap) == np.arange(len(here))
+            seeds += [SeedOrbit(orbit_points, value) for orbit_points in here[first]]
     return seeds
-
-
-def _returns(
-    path: Float[np.ndarray, "lanes points d"], n: int, wrap: Wrap, size: Float[np.ndarray, " d"]
-) -> tuple[Float[np.ndarray, "some n d"], Int[np.ndarray, " some"]]:
-    """The first n points of paths, and of every window those after which it comes nearest to where it was.
-
-    With the number of the path. The first are random, and lead to what repels from all sides as well.
-    """
-    lanes, count = len(path), _WINDOWS * _WINDOW
-    gap = np.max(np.abs(wrap(path[:, n : n + count] - path[:, :count])) / size, axis=2)
-    gap = np.where(np.isfinite(gap), gap, np.inf).reshape(lanes, _WINDOWS, _WINDOW)
-    nearest = np.argmin(gap, axis=2) + _WINDOW * np.arange(_WINDOWS)
-    first = np.concatenate([np.zeros((lanes, 1), int), nearest], axis=1).ravel()
-    lane = np.repeat(np.arange(lanes), _WINDOWS + 1)
-    points = path[lane[:, None], first[:, None] + np.arange(n)]
-    known = np.isfinite(points).all(axis=(1, 2))
-    return points[known], lane[known]
-
-
-def _is_least(
-    points: Float[np.ndarray, "some n d"], wrap: Wrap, size: Float[np.ndarray, " d"]
-) -> Bool[np.ndarray, " some"]:
-    """Return whether orbits have no period shorter than their number of points."""
-    least, n = np.ones(len(points), bool), points.shape[1]
-    for m in (m for m in range(1, n) if n % m == 0):
-        least &= np.max(np.abs(wrap(points - np.roll(points, m, 1))) / size, axis=(1, 2)) > _SAME
-    return least
 
 
 def _whole(

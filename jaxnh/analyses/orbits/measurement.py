@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int8
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.orbits.recognition import Cycles
 from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.maps.family import Maps
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.multipliers import multipliers
+from jaxnh.orbits.recognition import Cycles
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.systems.flow import Parameters
 
@@ -32,7 +32,7 @@ class MeasuredCycles(NamedTuple):
         residual: largest component of P(u_i) − u_{i+1} in sizes of the motion, (cycles,).
         multipliers, multipliers_error: largest modulus first, (cycles, d).
         time, time_error: period, (cycles,).
-        index: sign of ∏ (1 − μ), the fixed-point index of Pⁿ, (cycles,).
+        fixed_point_index: sign of ∏ (1 − μ), the fixed-point index of Pⁿ, (cycles,).
         stability: numbers in `STABILITIES`, (cycles,).
     """
 
@@ -42,7 +42,7 @@ class MeasuredCycles(NamedTuple):
     multipliers_error: Float[np.ndarray, "cycles d"]
     time: Float[np.ndarray, " cycles"]
     time_error: Float[np.ndarray, " cycles"]
-    index: Int8[np.ndarray, " cycles"]
+    fixed_point_index: Int8[np.ndarray, " cycles"]
     stability: Int8[np.ndarray, " cycles"]
 
 
@@ -56,17 +56,17 @@ def measure(
     """
     lane, points, wrap, unit = cycles.lane, cycles.points, batch.chart.wrap, size[cycles.lane]
     values, times = list[np.ndarray](), list[np.ndarray]()
-    for strobe in strobes:
-        period = map_of_lanes(batch, lanes, strobe)
-        orbits = close_orbits(period, points, lane, wrap)
+    periods = [map_of_lanes(batch, lanes, strobe) for strobe in strobes]
+    coarse, fine = close_orbits(periods[0], points, lane, wrap), close_orbits(periods[1], points, lane, wrap)
+    for strobe, orbits in zip(strobes, (coarse, fine), strict=True):
         points = np.where(orbits.converged[:, None, None], orbits.points, np.nan)
         values.append(multipliers(orbits.blocks))
         times.append(_times(batch, lanes, strobe, points, lane))
-    residual = np.where(orbits.converged, orbits.residual / unit.max(axis=1), np.nan)
+    residual = np.where(fine.converged, fine.residual / unit.max(axis=1), np.nan)
     signs = np.where(np.random.default_rng(0).random(points.shape) < 0.5, -1.0, 1.0)
     moved = points + _PROBE * signs * unit[:, None]
     shape = points.shape
-    blocks = np.asarray(period(moved.reshape(-1, shape[2]), np.repeat(lane, shape[1])).monodromy)
+    blocks = np.asarray(periods[1](moved.reshape(-1, shape[2]), np.repeat(lane, shape[1])).monodromy)
     aside = multipliers(blocks.reshape(*shape, shape[2]))
     with np.errstate(divide="ignore", invalid="ignore"):
         rounding = _ROUNDING * np.maximum(1.0, 1.0 / np.min(np.abs(1.0 - values[1]), axis=1))
@@ -76,9 +76,7 @@ def measure(
     order = (np.argmin(points[:, :, 0], axis=1)[:, None] + np.arange(shape[1])) % shape[1]
     points = np.take_along_axis(points, order[:, :, None], axis=1)
     index = np.nan_to_num(np.sign(np.real(np.prod(1.0 - values[1], axis=1)))).astype(np.int8)
-    return MeasuredCycles(
-        points, residual, values[1], error, times[1], time_error, index, _stability(values[1], error)
-    )
+    return MeasuredCycles(points, residual, values[1], error, times[1], time_error, index, _stability(values[1], error))
 
 
 def _stability(

@@ -1,14 +1,14 @@
 """Number of orbits that a search has not met, from how often it has met the others.
 
-Rounds of a search are samples, in each of which an orbit is met or not. From Q1, the number of those met in one round of
-T alone, and Q2, of those met in two, Chao's estimator is (T − 1)/T · Q1²/(2 Q2), or where Q2 is zero (T − 1)/T ·
-Q1 (Q1 − 1)/2 (Chao, Scand. J. Statist. 11 (1984) 265; of samples by incidence, with the interval on a logarithmic scale,
-Chao, Biometrics 43 (1987) 783).
+Rounds of a search are samples, in each of which an orbit is met or not. From Q1, the number of those met in one round
+of T alone, and Q2, of those met in two, Chao's estimator is (T − 1)/T · Q1²/(2 Q2), or where Q2 is zero (T − 1)/T ·
+Q1 (Q1 − 1)/2 (Chao, Scand. J. Statist. 11 (1984) 265; of samples by incidence, with the interval on a logarithmic
+scale, Chao, Biometrics 43 (1987) 783).
 
 That interval is the point zero where Q1 is zero, or one without a Q2, though a few orbits may still be missing. Its
-upper end is therefore at least the 97.5 % quantile of the Poisson distribution of as many orbits as the known ones would
-lead to: one of k meetings is missed by T rounds with the probability (1 − k/T)^T (Horvitz and Thompson, J. Am. Stat.
-Assoc. 47 (1952) 663).
+upper end is therefore at least the 97.5 % quantile of the Poisson distribution of as many orbits as the known ones
+would lead to: one of k meetings is missed by T rounds with the probability (1 − k/T)^T (Horvitz and Thompson, J. Am.
+Stat. Assoc. 47 (1952) 663).
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
 """All periodic orbits of the return map of every lane up to a number of returns, stable or not.
 
-Lanes settle by themselves; then orbits are sought in all of them together (`search`), so that each is tried with those of
-its neighbours, and measured (`measurement`). How often orbits were met says how many are missing (`missing`), and their
-numbers say how they grow (`entropy`).
+Lanes settle by themselves; then orbits are sought in all of them together (`search`), so that each is tried with those
+of its neighbours, and measured (`measurement`). How often orbits were met says how many are missing (`missing`), and
+their numbers say how they grow (`entropy`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -19,9 +18,9 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import OrbitsOptions
 from jaxnh.analyses.orbits.measurement import measure
 from jaxnh.analyses.orbits.search import WINDOWS, search, search_neighbours
-from jaxnh.analyses.orbits.starts import WINDOW
 from jaxnh.analyses.orbits.tables import OWN_NAMES, LaneOrbits, counts_group, counts_table, orbits_group
 from jaxnh.analyses.periodic.attractor_survey import first_points
+from jaxnh.analyses.periodic.close_returns import WINDOW
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.analyses.section_points import points_after

@@ -1,7 +1,7 @@
 """Search for all periodic orbits up to a number of returns: Newton from motions of each lane, round by round.
 
-In a round the attractor of each lane is followed for as many strobes as in any other, and from each number of returns on
-Newton is started by multiple shooting: from the closest return and from the first point of every window, and from random
+In a round the attractor of each lane is followed for as many strobes as in any other, and for each number of returns
+Newton is started by multiple shooting: at the nearest return and at the first point of every window, and at random
 starts. A round begins where the last one has ended, so that rounds are samples alike. Orbits that one lane has and its
 neighbours have not are tried in these in the end.
 """
@@ -16,15 +16,15 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import OrbitsOptions
-from jaxnh.analyses.orbits.recognition import Cycles, equal_cycles, merge_cycles, no_cycles, primitive_period
-from jaxnh.analyses.orbits.starts import WINDOW, close_returns, stretches
 from jaxnh.analyses.periodic.attractor_survey import first_points, motion_sizes
+from jaxnh.analyses.periodic.close_returns import WINDOW, nearest_returns, stretches
 from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import random_start_batch
 from jaxnh.analyses.section_points import points_after, points_at, states_after, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.maps.section import Section
+from jaxnh.orbits.recognition import Cycles, equal_cycles, merge_cycles, no_cycles, primitive_period
 from jaxnh.orbits.shooting import Period, orbits_from_afar
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
@@ -85,7 +85,7 @@ def search(
             open_ = open_[_doubtful(cycles, batch.count)[open_]]
         if not len(open_):
             break
-    return Search(cycles, made, size, np.isfinite(at).all(axis=1))
+    return Search(cycles, made, size, np.array(np.isfinite(at).all(axis=1)))
 
 
 def search_neighbours(
@@ -180,14 +180,15 @@ def _round(
     batch: LaneBatch,
     lanes: LaneRunner,
     strobe: Maps,
-    paths: Sequence[Float[np.ndarray, "..."]],
+    paths: Sequence[np.ndarray],
     size: Float[np.ndarray, "lanes d"],
 ) -> dict[int, Cycles]:
     """Return the orbits that a round finds by number of returns, from one path of each lane and random ones."""
     (path, *random), found = paths, dict[int, list[Cycles]]()
+    begun = WINDOW * np.arange(WINDOWS)
     for n in range(1, options.max_period + 1):
-        starts = [close_returns(path, n, WINDOWS, size, batch.chart.wrap)]
-        starts.append(stretches(path, n, np.broadcast_to(WINDOW * np.arange(WINDOWS), (batch.count, WINDOWS))))
+        nearest = nearest_returns(path, n, WINDOWS, size, batch.chart.wrap)
+        starts = [stretches(path, n, np.concatenate([nearest, np.broadcast_to(begun, nearest.shape)], axis=1))]
         for more in random:
             points, which = stretches(more.reshape(-1, *more.shape[2:]), n, np.zeros((more[..., 0, 0].size, 1), int))
             starts.append((points, which // more.shape[1]))

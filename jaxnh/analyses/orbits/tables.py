@@ -93,7 +93,9 @@ def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[Lane
             whole(errors) if rows else np.zeros((count, 0, d)),
             "error of the multipliers, in modulus",
         ),
-        "index": variable(dims, column("index", 0).astype(np.int8), "fixed-point index, the sign of det(1 - DP^n)"),
+        "index": variable(
+            dims, column("fixed_point_index", 0).astype(np.int8), "fixed-point index, the sign of det(1 - DP^n)"
+        ),
         "stability": flag(dims, column("stability", -1), "stability of the orbit", STABILITIES, -1),
         "met": variable(
             dims,
@@ -188,7 +190,7 @@ def _real_and_imaginary(values: np.ndarray) -> np.ndarray:
 
 
 def counts_table(data: xr.Dataset) -> Table:
-    """Return a row for each number of returns: orbits found and missing, of several lanes from the least to the most."""
+    """Return a row for each number of returns: orbits found and missing, of several lanes the least and the most."""
     number, low, high, missing = (
         data[name].transpose(..., "n").to_numpy().reshape(-1, data.sizes["n"])
         for name in ("number", "missing_low", "missing_high", "missing")

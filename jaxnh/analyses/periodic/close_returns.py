@@ -1,7 +1,7 @@
 """Stretches of motions that Newton for periodic orbits begins with: close returns, and random ones.
 
-A motion that nearly comes back is near a periodic orbit (Auerbach et al., Phys. Rev. Lett. 58 (1987) 2387); one that does
-not may lead to it all the same, by multiple shooting, and to others.
+A motion that nearly comes back is near all points of a periodic orbit (Auerbach et al., Phys. Rev. Lett. 58 (1987)
+2387); one that does not may lead to it all the same, by multiple shooting, and to others.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ WINDOW = 16
 """Strobes of a window, in which the nearest return is taken."""
 
 
-def close_returns(
+def nearest_returns(
     path: Float[np.ndarray, "lanes points d"],
     n: int,
     windows: int,
-    size: Float[np.ndarray, "lanes d"] | Float[np.ndarray, " d"],
+    size: Float[np.ndarray, "#lanes d"] | Float[np.ndarray, " d"],
     wrap: Wrap,
-) -> tuple[Float[np.ndarray, "starts n d"], Int[np.ndarray, " starts"]]:
-    """Return from each window of each path the n points after which it comes nearest to where it was.
+) -> Int[np.ndarray, "lanes windows"]:
+    """Return of each window of each path the point after which it comes nearest, n points later, to where it was.
 
     Args:
         path: at least `windows` times `WINDOW` points, and n more.
@@ -30,15 +30,12 @@ def close_returns(
         windows: number of windows.
         size: of the motion in each section coordinate, of all paths or of each.
         wrap: of differences of section coordinates.
-
-    Returns:
-        The points, and the number of the path of each; where a path is not finite there are none.
     """
-    lanes, count, size = len(path), windows * WINDOW, np.broadcast_to(size, (len(path), path.shape[2]))
+    count, size = windows * WINDOW, np.broadcast_to(size, (len(path), path.shape[2]))
     with np.errstate(invalid="ignore"):  # of paths that go to infinity
         gap = np.max(np.abs(wrap(path[:, n : n + count] - path[:, :count])) / size[:, None], axis=2)
-    gap = np.where(np.isfinite(gap), gap, np.inf).reshape(lanes, windows, WINDOW)
-    return stretches(path, n, np.argmin(gap, axis=2) + WINDOW * np.arange(windows))
+    gap = np.where(np.isfinite(gap), gap, np.inf).reshape(len(path), windows, WINDOW)
+    return np.argmin(gap, axis=2) + WINDOW * np.arange(windows)
 
 
 def stretches(

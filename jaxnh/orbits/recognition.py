@@ -33,10 +33,12 @@ def no_cycles(n: int, d: int) -> Cycles:
 
 
 def primitive_period(
-    points: Float[np.ndarray, "cycles n d"], size: Float[np.ndarray, "cycles d"], wrap: Wrap
+    points: Float[np.ndarray, "cycles n d"],
+    size: Float[np.ndarray, "#cycles d"] | Float[np.ndarray, " d"],
+    wrap: Wrap,
 ) -> Int[np.ndarray, " cycles"]:
     """Return the least number of returns after which n points repeat, a divisor of n."""
-    n = points.shape[1]
+    n, size = points.shape[1], np.broadcast_to(size, (len(points), points.shape[2]))
     least = np.full(len(points), n)
     for m in (m for m in range(n - 1, 0, -1) if n % m == 0):
         least[_distance(points, np.roll(points, m, 1), size, wrap) < SAME] = m
@@ -46,13 +48,14 @@ def primitive_period(
 def equal_cycles(
     lane: Int[np.ndarray, " cycles"],
     points: Float[np.ndarray, "cycles n d"],
-    size: Float[np.ndarray, "cycles d"],
+    size: Float[np.ndarray, "#cycles d"] | Float[np.ndarray, " d"],
     wrap: Wrap,
 ) -> Int[np.ndarray, " cycles"]:
     """Return for each orbit the number of the first that it equals, in the same lane and from whatever point on.
 
     Orbits are sorted by a mean over their points, which equal ones share, and only neighbours are compared.
     """
+    size = np.broadcast_to(size, (len(points), points.shape[2]))
     label, mean = np.arange(len(lane)), _mean_over_points(points, size)
     order = np.lexsort((label, mean, lane))
     apart = (np.diff(lane[order]) != 0) | (np.diff(mean[order]) > SAME)

@@ -1,0 +1,232 @@
+"""Periodic orbits of maps whose orbits are known in closed form or counted in the literature, and of Lorenz's section."""
+
+from __future__ import annotations
+
+import heyoka as hy
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.analyses.orbits.entropy import topological_entropy
+from jaxnh.analyses.orbits.missing import missing_orbits
+from jaxnh.exceptions import InputError
+from jaxnh.orbits.recognition import equal_cycles, primitive_period
+from tests.flows.lorenz import lorenz
+
+TWO_LETTERS = [2, 1, 2, 3, 6, 9, 18, 30, 56]
+"""Primitive cyclic words of two letters, of 1, 2, … letters (Moreau's formula)."""
+
+HENON = [2, 1, 0, 1, 0, 2, 4, 7, 6, 10, 14, 19, 32]
+"""Cycles of Henon's map at a = 1.4, b = 0.3 by their period: Biham and Wenzel, Phys. Rev. Lett. 63 (1989) 819."""
+
+
+def logistic(r=4.0):
+    def image(y):
+        return r * y[0] * (1.0 - y[0])
+
+    return {"map": image, "coordinates": "x"}
+
+
+def henon(a=1.4, b=0.3):
+    def image(s):
+        x, y = s
+        return 1.0 - a * x**2 + y, b * x
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+def cat(shear=1.0):
+    def image(s):
+        x, y = s
+        return 2.0 * x + shear * y, x + y
+
+    return {"map": image, "coordinates": ("x", "y"), "angles": ("x", "y")}
+
+
+def complex_multipliers(data):
+    """Multipliers as complex numbers, (orbit, d)."""
+    values = data["multipliers"].to_numpy()
+    return values[..., 0] + 1j * values[..., 1]
+
+
+def assert_nothing_missing(counts):
+    """The interval of the number of missing orbits begins at zero, as does the estimate where all were met often."""
+    assert not counts["missing"].to_numpy().any()
+    assert not counts["missing_low"].to_numpy().any()
+
+
+def test_all_orbits_of_the_logistic_map():
+    """At r = 4 all of period n are sin² of multiples of π/(2ⁿ ± 1); multipliers are ±2ⁿ, at the origin 4ⁿ; h = ln 2."""
+    groups = jaxnh.Session(logistic, start={"x": 0.3}).groups({"orbits": jaxnh.Orbits(max_period=6)})
+    data, counts = groups["orbits"], groups["orbit_counts"]
+    assert counts["number"].to_numpy().tolist() == TWO_LETTERS[:6]
+    assert_nothing_missing(counts)
+    assert abs(float(counts["entropy"]) - np.log(2)) <= float(counts["entropy_error"]) + 1e-15
+    n = data["period"].to_numpy()
+    size = np.abs(complex_multipliers(data)[:, 0])
+    exact = np.where(data["x"] < 1e-12, 4.0, 2.0**n)
+    assert np.all(np.abs(size - exact) <= data["multipliers_error"].to_numpy()[:, 0])
+    assert np.all(data["multipliers_error"].to_numpy()[:, 0] < 1e-9 * exact)
+    for orbit in range(len(n)):
+        turns = np.arcsin(np.sqrt(np.clip(data["x_points"].to_numpy()[orbit, : n[orbit]], 0.0, 1.0))) / np.pi
+        apart = [np.abs(turns * m - np.round(turns * m)).max() for m in (2 ** n[orbit] - 1, 2 ** n[orbit] + 1)]
+        assert min(apart) < 1e-6  # the square root takes half the digits at the ends
+
+
+def test_cycles_of_the_henon_map():
+    """One fixed point is off the attractor, and random starts find it; h = 0.4651 (D'Alessandro et al. 1990)."""
+    options = jaxnh.Orbits(max_period=8, n_starts=8, box={"x": (-2.0, 2.0), "y": (-0.6, 0.6)})
+    groups = jaxnh.Session(henon, start={"x": 0.3, "y": 0.1}).groups({"orbits": options})
+    data, counts = groups["orbits"], groups["orbit_counts"]
+    assert counts["number"].to_numpy().tolist() == HENON[:8]
+    assert_nothing_missing(counts)
+    assert abs(float(counts["entropy"]) - 0.4651) < float(counts["entropy_error"])
+    fixed = np.sort(data["x"].to_numpy()[:2])
+    np.testing.assert_allclose(fixed, np.sort(np.roots([1.4, 0.7, -1.0])), rtol=1e-13)
+    product = np.prod(complex_multipliers(data), axis=1).real
+    np.testing.assert_allclose(product, (-0.3) ** data["period"].to_numpy(), rtol=1e-9)
+    assert set(jaxnh.labels(data["stability"]).to_numpy()) == {"saddle"}
+
+
+@pytest.mark.slow
+def test_more_cycles_of_the_henon_map():
+    options = jaxnh.Orbits(max_period=13, n_starts=8, box={"x": (-2.0, 2.0), "y": (-0.6, 0.6)})
+    counts = jaxnh.Session(henon, start={"x": 0.3, "y": 0.1}).groups({"orbits": options})["orbit_counts"]
+    assert counts["number"].to_numpy().tolist() == HENON
+    assert abs(float(counts["entropy"]) - 0.4651) < float(counts["entropy_error"])
+
+
+def test_orbits_on_a_torus():
+    """The cat map has |det(Aⁿ − 1)| = 1, 5, 16, 45 points of period n; multipliers are those of Aⁿ."""
+    groups = jaxnh.Session(cat, start={"x": 0.3, "y": 0.1}).groups({"orbits": jaxnh.Orbits(max_period=4)})
+    data, counts = groups["orbits"], groups["orbit_counts"]
+    assert counts["number"].to_numpy().tolist() == [1, 2, 5, 10]
+    largest = ((3 + np.sqrt(5)) / 2) ** data["period"].to_numpy()
+    error = data["multipliers_error"].to_numpy()[:, 0]
+    assert np.all(np.abs(complex_multipliers(data)[:, 0] - largest) <= error)
+    assert abs(float(counts["entropy"]) - np.log((3 + np.sqrt(5)) / 2)) < float(counts["entropy_error"])
+    assert np.all(data["index"] == -1)
+
+
+def test_orbits_over_a_parameter():
+    """The fixed points 0 and 1 − 1/r, and from r = 3 on the cycle of two, whose multiplier is 4 + 2 r − r²."""
+    r = np.array([2.8, 3.2])
+    groups = jaxnh.Session(logistic, start={"x": 0.3}).groups({"orbits": jaxnh.Orbits(max_period=2)}, r=r)
+    assert groups["orbit_counts"]["number"].to_numpy()[:, 1].tolist() == [0, 1]
+    data = groups["orbits"]
+    inside = np.abs(data["x"] - (1.0 - 1.0 / data["r"])) < 1e-12
+    assert np.all(inside.sum("orbit") == 1)
+    cycle = complex_multipliers(data)[1][data["period"].to_numpy()[1] == 2]
+    np.testing.assert_allclose(cycle.real, [[4 + 2 * 3.2 - 3.2**2]], rtol=1e-12)
+
+
+def test_where_nothing_stays_there_are_the_orbits_of_random_starts():
+    """At r = 5 almost all motions go to infinity, and all orbits of two letters are left, repelling."""
+    options = jaxnh.Orbits(max_period=4, transient=64, n_starts=64, box={"x": (-0.1, 1.1)})
+    groups = jaxnh.Session(logistic, start={"x": 0.3}).groups({"orbits": options}, r=5.0)
+    assert groups["orbit_counts"]["number"].to_numpy().ravel().tolist() == TWO_LETTERS[:4]
+    assert not groups["orbits"]["status"].to_numpy().any()
+    alone = jaxnh.Session(logistic, start={"x": 0.3}).groups({"orbits": jaxnh.Orbits(max_period=2)}, r=5.0)
+    assert jaxnh.labels(alone["orbits"]["status"]).to_numpy().ravel().tolist() == ["not finite"]
+
+
+def test_orbits_are_recognised_whatever_point_they_begin_with():
+    points = np.array([[[0.1], [0.7], [0.4]], [[0.4], [0.1], [0.7]], [[0.1], [0.4], [0.7]], [[0.7], [0.4], [0.1]]])
+    size, lane = np.ones((4, 1)), np.zeros(4, int)
+    assert equal_cycles(lane, points, size, np.asarray).tolist() == [0, 0, 2, 0]
+    assert equal_cycles(np.array([0, 1, 0, 1]), points, size, np.asarray).tolist() == [0, 1, 2, 1]
+    twice = np.tile(points[:1, :2], (1, 2, 1))
+    assert primitive_period(np.concatenate([twice, twice * 0.0 + 0.3]), size[:2], np.asarray).tolist() == [2, 1]
+
+
+@pytest.mark.parametrize("total", [4, 6, 12])
+def test_the_interval_of_missing_orbits_covers_their_number(total):
+    """Orbits are met in a round with chances spread as those of the logistic map at n = 9, over 0.15 to 0.9."""
+    draws, chances = np.random.default_rng(1), np.linspace(0.15, 0.9, 56)
+    covered = []
+    for _ in range(1000):
+        met = draws.binomial(total, chances)
+        of = missing_orbits(met[met > 0], total)
+        covered.append(of.low <= np.sum(met == 0) <= of.high)
+    assert np.mean(covered) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 1000)
+
+
+def test_orbits_known_from_elsewhere_are_not_missing():
+    met = np.array([1, 1, 1, 2, 2])
+    alone, beside = missing_orbits(met, 4), missing_orbits(np.append(met, [0, 0]), 4)
+    assert beside.high == alone.high - 2.0
+    assert beside.estimate == max(alone.estimate - 2.0, 0.0)
+
+
+@pytest.mark.slow
+def test_searches_that_are_stopped_early():
+    """After four rounds of a search some of the 56 orbits of nine returns are missing: their number is in the interval."""
+    session, options = jaxnh.Session(logistic, start={"x": 0.3}), jaxnh.Orbits(max_period=9, transient=16, rounds=4)
+    covered, most = list[np.ndarray](), 0
+    for start in np.random.default_rng(2).uniform(0.05, 0.95, 60):  # one by one, as neighbours help each other
+        counts = session.groups({"orbits": options}, x=start)["orbit_counts"]
+        missing = np.array(TWO_LETTERS) - counts["number"].to_numpy()
+        covered.append((counts["missing_low"].to_numpy() <= missing) & (missing <= counts["missing_high"].to_numpy()))
+        most = max(most, missing[-1])
+    assert most > 5
+    assert np.all(np.mean(covered, axis=0) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 60))
+
+
+def test_entropy_of_numbers_that_are_known():
+    """The full shift has ln 2 whatever the order; of one fixed point it is zero; missing orbits widen the error."""
+    full, one, none = np.array(TWO_LETTERS, float), np.eye(1, 9)[0], np.zeros(9)
+    np.testing.assert_allclose(topological_entropy(full, none), (np.log(2), 0.0), atol=1e-15)
+    assert topological_entropy(one, none) == (0.0, 0.0)
+    assert topological_entropy(full, one)[1] > 0.0
+    assert np.isnan(topological_entropy(full[:3], none[:3])).all()
+    assert np.isnan(topological_entropy(none, none)).all()
+
+
+def test_options_that_do_not_go_together():
+    with pytest.raises(InputError, match="needs a box to draw from"):
+        jaxnh.Orbits(n_starts=4)
+    session = jaxnh.Session(logistic, start={"x": 0.3})
+    with pytest.raises(InputError, match="there is no coordinate y; known are x"):
+        session.run(jaxnh.Orbits(n_starts=4, box={"y": (0.0, 1.0)}))
+
+
+def lorenz_section(target):
+    return jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=target).on(
+        coordinate="z", value=27.0, direction="down"
+    )
+
+
+def test_short_orbits_of_lorenz():
+    """The shortest takes 1.558652210716 (Viswanath 2003); the equilibria, which are on the section, are no orbits."""
+    groups = lorenz_section(1e-5).groups({"orbits": jaxnh.Orbits(max_period=2, transient=16, rounds=4)})
+    data, counts = groups["orbits"], groups["orbit_counts"]
+    assert counts["number"].to_numpy().tolist() == [0, 1]
+    assert abs(float(data["time"][0]) - 1.558652210716) < float(data["time_error"][0]) + 1e-12
+
+
+@pytest.mark.slow
+def test_all_orbits_of_lorenz_up_to_eight_returns():
+    """All words of two letters but those of one letter; periods and multipliers by heyoka's variational equations."""
+    groups = lorenz_section(1e-12).groups({"orbits": jaxnh.Orbits()})
+    data, counts = groups["orbits"], groups["orbit_counts"]
+    assert counts["number"].to_numpy().tolist() == [0, *TWO_LETTERS[1:8]]
+    assert_nothing_missing(counts)
+    assert abs(float(data["time"][0]) - 1.558652210716) < 1e-11
+    largest = complex_multipliers(data)[:, 0].real
+    start = np.stack([data[name].to_numpy() for name in ("x", "y", "z")], axis=-1)
+    exact, back = zip(*map(monodromy_by_heyoka, start, data["time"].to_numpy()), strict=True)
+    np.testing.assert_allclose(largest, exact, rtol=1e-8)
+    assert np.abs(back).max() < 1e-7
+    assert abs(float(counts["entropy"]) - np.log(2)) < float(counts["entropy_error"])
+
+
+def monodromy_by_heyoka(start, time):
+    """The multiplier of largest modulus of an orbit from a state, and by how much it does not come back."""
+    x, y, z = hy.make_vars("x", "y", "z")
+    equations = hy.var_ode_sys(
+        [(x, 10.0 * (y - x)), (y, x * (28.0 - z) - y), (z, x * y - 8 / 3 * z)], hy.var_args.vars, 1
+    )
+    integrator = hy.taylor_adaptive(equations, list(start), tol=1e-18, compact_mode=True)
+    integrator.propagate_until(time)
+    values = np.linalg.eigvals(integrator.state[3:].reshape(3, 3))
+    return values[np.argmax(np.abs(values))].real, integrator.state[:3] - start
