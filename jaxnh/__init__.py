@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import PoincareOptions as Poincare
     from jaxnh.analyses.options import PortraitOptions as Portrait
     from jaxnh.analyses.options import ReversalOptions as Reversal
+    from jaxnh.analyses.options import TransientsOptions as Transients
     from jaxnh.analyses.options import VerdictOptions as Verdict
     from jaxnh.analyses.options import WindowsOptions as Windows
     from jaxnh.engine.experiment import Experiment, load
@@ -123,6 +124,7 @@ __all__ = [
     "RunError",
     "Session",
     "Stopped",
+    "Transients",
     "UserFileError",
     "Verdict",
     "Windows",

@@ -50,6 +50,13 @@ OPTIONS = {
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
     "orbits": {"max_period": 2, "transient": 64, "rounds": 4},
+    "transients": {
+        "n_starts": 16,
+        "box": {"u": (-0.5, 0.5)},
+        "region": {"u": (-9.0, 9.0)},
+        "max_periods": 16,
+        "transient": 1,
+    },
 }
 
 
@@ -66,6 +73,9 @@ def lowered_for_cuda_too():
 
     with mock.patch.object(programs, "_lower", lower):
         yield
+def starts_between(name, low, high):
+    """Options of `transients` in a range of another coordinate."""
+    return {"transients": OPTIONS["transients"] | {"box": {name: (low, high)}, "region": {name: (-9.0, 9.0)}}}
 
 
 class Kind(NamedTuple):
@@ -243,6 +253,18 @@ def orbits_beside(expected):
     return check
 
 
+def nothing_leaves(data, _):
+    """All motions stay around the attractor, and the rate is zero, with an interval that begins there."""
+    life, escaped, rate, low, high, _ = lanes_of(
+        data, "lifetime", "escaped", "escape_rate", "escape_rate_low", "escape_rate_high"
+    )
+    assert np.all(life == 16)
+    assert not escaped.any()
+    assert not rate.any()
+    assert not low.any()
+    assert np.all(high > 0.0)
+
+
 def doubling(name, expected):
     """One doubling at each point of the other axes, within its error and what steps leave."""
 
@@ -384,6 +406,7 @@ MOEBIUS = {
     "basins": one_attractor,
     "reversal": NO_REVERSAL,
     "orbits": orbit_numbers(lambda values: (1, beyond(values) > 0)),
+    "transients": nothing_leaves,
 }
 IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
@@ -431,6 +454,7 @@ def particle(names, rates=paper_equations.at_speed):
         "basins": one_attractor,
         "reversal": repellers("dissipative"),
         "orbits": orbits_beside(lambda values: (1, values["b"] < first_doubling())),
+        "transients": nothing_leaves,
     }
 
 
@@ -499,6 +523,7 @@ KINDS = {
             "period": periods(lambda values: 2),
             "lyapunov": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
             "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
+            "transients": "random starts and the axis u of start states exclude each other",
             "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
             "windows": "u is a coordinate of the start state",
             "branches": "u is a coordinate of the start state",
@@ -510,6 +535,7 @@ KINDS = {
         SPACE + SECTION,
         MOEBIUS | IN_SPACE | {"verdict": words("limit_cycle"), "basins": one_attractor},
         moebius.MOEBIUS_IN_SPACE,
+        starts_between("x", 1.2, 1.4),
     ),
     "a right-hand side with jumps on a section": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1, clock: 0.5}\nsweep: {"
@@ -552,14 +578,17 @@ KINDS = {
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
+            "transients": nothing_leaves,
         },
         constrained_oscillators.SLIDE,
+        starts_between("x", -0.5, 0.5),
     ),
     "T, Q, f with a constraint that is projected": Kind(
         "system: {file: FILE}\ninitial: {x: 0.1, x_dot: 0.1, y: 0.1, y_dot: 0.99498743710662}\n"
         "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: tsit5, steps: 400}",
         particle(("x", "y", "x_dot", "y_dot")),
         paper_equations.PARTICLE,
+        starts_between("x", 0.0, 0.2),
     ),
     "quasi-velocities, one of them given, and a norm": Kind(
         "system: {file: FILE}\ninitial: {c: 0.8, s: 0.6, w: 0.1}\n"
@@ -579,8 +608,10 @@ KINDS = {
             "basins": one_attractor,
             "reversal": "no reversal is known of quasi-velocities",
             "orbits": orbit_numbers(lambda values: (1, 0 * values["damping"])),
+            "transients": nothing_leaves,
         },
         constrained_oscillators.NEEDLE,
+        starts_between("w", -0.1, 0.1),
     ),
     "T, Q, f with a constraint that comes and goes": Kind(
         "system: {file: FILE}\ninitial: {x: 0.3}\nsweep: {mu: {start: -0.36, stop: 0.36, count: 4}}\n" + STEPS,
@@ -610,9 +641,11 @@ KINDS = {
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
+            "transients": nothing_leaves,
         },
         constrained_oscillators.CYCLE,
-        {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}},
+        {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}}
+        | starts_between("x_dot", 0.05, 0.4),
     ),
     "the free particle": Kind(
         "system: {constraint: free}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1, y2: 0.9}\n"
@@ -634,7 +667,9 @@ KINDS = {
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
+            "transients": nothing_leaves,
         },
+        options=starts_between("x1", -0.2, 0.2),
     ),
     "no forcing, on a section": Kind(
         "system: {constraint: constant_speed, without: [forcing]}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1}\n"
@@ -658,13 +693,15 @@ KINDS = {
             "basins": nothing_periodic,
             "reversal": repellers("conservative", "undecided"),
             "orbits": orbits_beside(lambda values: (0, 0 * values["b"])),
+            "transients": nothing_leaves,
         },
-        options={"doubling": {"levels": 1, "search": False}},
+        options={"doubling": {"levels": 1, "search": False}} | starts_between("x1", 0.0, 0.2),
     ),
     "the particle, disturbed": Kind(
         "system: {constraint: disturbed_speed}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1}\n"
         "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: kahan_li8, steps: 120}",
         particle(("x1", "y1", "x2", "y2")),
+        options=starts_between("x1", 0.0, 0.2),
     ),
 }
 

@@ -10,6 +10,7 @@ from jaxnh.analyses.orbits import orbits
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.reversal import reversal
 from jaxnh.analyses.trajectories import diagram, poincare, portrait
+from jaxnh.analyses.transients import transients
 from jaxnh.analyses.windows import windows
 
 _MODULES = (
@@ -27,6 +28,7 @@ _MODULES = (
     windows,
     reversal,
     orbits,
+    transients,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}

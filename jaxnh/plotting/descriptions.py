@@ -103,6 +103,10 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         lambda _: _Description("curves", ("number",), ("n",), "periodic orbits", "none"),
     ),
     "orbits": (("met",), None),
+    "transients": (
+        ("escape_rate",),
+        lambda _: _Description("curves", ("escape_rate",), (), "escape rate", "0"),
+    ),
     "reversal": (
         ("repeller_exponents",),
         lambda _: _Description("curves", ("distance", "overlap"), (), "distance and overlap", "0 1"),

@@ -10,8 +10,9 @@ from scipy.optimize import brentq
 from scipy.stats import binom
 
 import jaxnh
+from jaxnh.analyses.intervals import binomial_interval
 from jaxnh.analyses.reversal import reversal as rules
-from jaxnh.analyses.reversal.sets import binomial_interval, compare_sets
+from jaxnh.analyses.reversal.sets import compare_sets
 from jaxnh.exceptions import InputError
 from jaxnh.solvers import tsit5
 from jaxnh.systems.first_order import first_order

@@ -2,7 +2,13 @@
 
 from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.options.basins import BasinsOptions
-from jaxnh.analyses.options.chaos import Chaos01Options, LyapunovOptions, ReversalOptions, VerdictOptions
+from jaxnh.analyses.options.chaos import (
+    Chaos01Options,
+    LyapunovOptions,
+    ReversalOptions,
+    TransientsOptions,
+    VerdictOptions,
+)
 from jaxnh.analyses.options.orbits import (
     BranchesOptions,
     CurvesOptions,
@@ -30,6 +36,7 @@ OPTIONS: dict[str, type[Options]] = {
         WindowsOptions,
         ReversalOptions,
         OrbitsOptions,
+        TransientsOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

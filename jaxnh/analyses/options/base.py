@@ -80,8 +80,8 @@ def check_random_starts(box: Mapping[str, tuple[float, float]], n_starts: int, s
         raise rule("goes with starts, and there are none", "seed")
 
 
-def check_sides(box: Mapping[str, tuple[float, float]]) -> None:
-    """Check that of each side of a box the lower number stands first."""
+def check_sides(box: Mapping[str, tuple[float, float]], key: str = "box") -> None:
+    """Check that of each side of a box, the option of a name, the lower number stands first."""
     for name, (low, high) in box.items():
         if not low < high:
-            raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"box.{name}", "box")
+            raise rule(f"the first number must be the lower one, not {low:g} and {high:g}", f"{key}.{name}", key)

@@ -1,12 +1,12 @@
-"""Options of the analyses that tell chaos from order: exponents, the 0-1 test, verdicts."""
+"""Options of the analyses that tell chaos from order: exponents, the 0-1 test, verdicts, transient chaos."""
 
 from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import BLOCKS, Options
+from jaxnh.analyses.options.base import BLOCKS, Options, Side, check_random_starts, check_sides, rule
 
 
 class LyapunovOptions(Options):
@@ -52,3 +52,27 @@ class ReversalOptions(Options):
     )
     strobes: int = Field(default=512, ge=64, description="Points that the attractor and its image are compared by")
     periods: int = Field(default=1024, ge=BLOCKS, description="Periods that exponents of either are averaged over")
+
+
+class TransientsOptions(Options):
+    """Options of `transients`."""
+
+    n_starts: int = Field(default=4096, ge=16, description="Random start states at each value of parameters")
+    box: dict[str, Side] = Field(
+        description="Coordinates of random start states, each with its lowest and highest value"
+    )
+    region: dict[str, Side] = Field(
+        default_factory=dict,
+        description="Coordinates that motions leave, each with its lowest and highest value; by default the box",
+    )
+    max_periods: int = Field(default=1024, ge=16, description="Periods after which a motion is followed no longer")
+    transient: int = Field(default=8, ge=0, description="Periods before escapes are counted for the rate")
+    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
+
+    @model_validator(mode="after")
+    def _check(self) -> TransientsOptions:
+        check_random_starts(self.box, self.n_starts, seeded=False)
+        check_sides(self.region, "region")
+        if self.transient >= self.max_periods:
+            raise rule(f"must be less than max_periods, {self.max_periods}", "transient", "max_periods")
+        return self

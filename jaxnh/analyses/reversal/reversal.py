@@ -34,12 +34,13 @@ from jaxtyping import Float, Int, Int8
 from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, Table, as_variable, flag, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.intervals import binomial_interval
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions, ReversalOptions
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.reversal.involution import choose_reversal, image_points, images, is_reversible, reversal_of
 from jaxnh.analyses.reversal.rates import Rates, of_attractor, of_repeller
-from jaxnh.analyses.reversal.sets import WITHIN, SetComparison, binomial_interval, compare_sets
+from jaxnh.analyses.reversal.sets import WITHIN, SetComparison, compare_sets
 from jaxnh.analyses.section_points import points_at
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.maps.build import make_return_map

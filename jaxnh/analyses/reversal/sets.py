@@ -102,14 +102,3 @@ def _nearest(system: System, points: Float[Array, "n d"], images: Float[Array, "
         return jnp.stack(distances)
 
     return lax.map(of_point, (points, number))
-
-
-def binomial_interval(
-    count: Int[np.ndarray, " lanes"], total: int
-) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
-    """Return the ends of the 95 % interval of a share, for numbers of independent draws (Clopper, Pearson 1934)."""
-    from scipy.special import betaincinv  # here, as it takes a tenth of a second to import
-
-    low = np.where(count > 0, betaincinv(np.maximum(count, 1), total - count + 1, 0.025), 0.0)
-    high = np.where(count < total, betaincinv(count + 1, np.maximum(total - count, 1), 0.975), 1.0)
-    return low, high

@@ -1,0 +1,171 @@
+"""Transient chaos of every lane: lifetimes of random starts in a region, the escape rate, and the chaotic saddle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, Starts, Table, as_variable, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
+from jaxnh.analyses.options.chaos import TransientsOptions
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
+from jaxnh.analyses.random_starts import check_box, random_start_batch
+from jaxnh.analyses.trajectories.states import section_attrs
+from jaxnh.analyses.transients.lifetimes import EscapeRate, escape_rate, lifetimes, region_of
+from jaxnh.analyses.transients.saddle import MOTIONS, POINTS, Saddle, find_saddle
+from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.section import outputs
+from jaxnh.systems.flow import status
+
+_USUAL = 64  # periods that most motions stay, for the expected work
+
+
+def periods(options: TransientsOptions, lanes: int) -> float:
+    """Return the lane-periods of a run."""
+    return float(lanes * options.n_starts * min(options.max_periods, _USUAL))
+
+
+def numbers(options: TransientsOptions) -> int:
+    """Return how many numbers a lane leaves."""
+    return 4 * options.n_starts + 8 * MOTIONS * POINTS
+
+
+def check(options: TransientsOptions, setting: Setting) -> None:
+    """Check the box of starts, and that the region is one of coordinates."""
+    check_box(options.box, setting, "box")
+    for name in options.region:
+        if name not in setting.flow.coordinates:
+            known = ", ".join(setting.flow.coordinates)
+            raise OptionError(f"there is no coordinate {name}; known are {known}", f"region.{name}")
+
+
+def run(options: TransientsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
+    """Return lifetimes, escape rates and saddles of all lanes."""
+    many, drawn = random_start_batch(batch, options.n_starts, options.seed, options.box)
+    shape = batch.count, options.n_starts
+    with lanes.stage(f"transients: {many.count:,} motions until they leave", periods(options, batch.count)):
+        lived = lifetimes(many, lanes, region_of(options.box, options.region), options.max_periods)
+    life, escaped = lived.periods.reshape(shape), lived.escaped.reshape(shape)
+    rate = escape_rate(life, escaped, options.transient)
+    with lanes.stage(f"transients: saddles of {batch.count} lanes", 0):
+        saddle = find_saddle(many, lanes, life)
+    unit, flow = iterate_units(batch.system), batch.flow
+    variables: dict[str, Entry] = {
+        "lifetime": variable(
+            (LANE, "start"),
+            life.astype(np.int32),
+            "time until the motion is out of the region, or is followed no longer",
+            counted_in=unit,
+        ),
+        "escaped": variable((LANE, "start"), escaped.astype(np.int8), "whether the motion has left the region"),
+        **{
+            name: variable(
+                (LANE, "start"),
+                values.reshape(shape),
+                f"{flow.labels.long_names[name]} of the start state",
+                flow.labels.units[name],
+            )
+            for name, values in drawn.items()
+        },
+        **_of_lanes(rate, saddle, unit),
+        **_of_saddle(batch, saddle),
+        "status": as_variable(LANE, status(np.zeros(batch.count, int))),
+    }
+    return xr.Dataset(variables, attrs=section_attrs(batch))
+
+
+def _of_lanes(rate: EscapeRate, saddle: Saddle, unit: str) -> dict[str, Entry]:
+    """Return rates, exponents and dimensions.
+
+    Along the unstable direction the information dimension is 1 − κ/λ (Kantz and Grassberger, Physica D 17 (1985) 75).
+    """
+    half = 0.5 * (rate.rate[2] - rate.rate[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dimension = 1.0 - rate.rate[0] / saddle.exponent
+        error = np.hypot(half, rate.rate[0] * saddle.error / saddle.exponent) / np.abs(saddle.exponent)
+    variables = dict[str, Entry]()
+    for name, values, words in (
+        ("escape_rate", rate.rate, "rate at which motions leave the region, per period of the map"),
+        ("mean_lifetime", rate.mean, "mean of the time that motions have before them"),
+    ):
+        attrs = {"counted_in": unit if name == "mean_lifetime" else f"1/{unit}"}
+        for ending, side, data in zip(
+            ("", "_low", "_high"),
+            ("", "lower end of the 95 % interval of the ", "upper end of the 95 % interval of the "),
+            values,
+            strict=True,
+        ):
+            variables[f"{name}{ending}"] = variable(LANE, data, f"{side}{words}", **attrs)
+    return variables | {
+        "escapes": variable(LANE, rate.escapes.astype(np.int32), "number of escapes that the rate is known from"),
+        "saddle_exponent": variable(
+            LANE, saddle.exponent, "largest Lyapunov exponent on the saddle, per period of the map"
+        ),
+        "saddle_exponent_error": variable(LANE, saddle.error, "error of the exponent at 95 %"),
+        "saddle_dimension": variable(
+            LANE, dimension, "information dimension of the saddle along one unstable direction"
+        ),
+        "saddle_dimension_error": variable(LANE, error, "error of the dimension at 95 %"),
+    }
+
+
+def _of_saddle(batch: LaneBatch, saddle: Saddle) -> dict[str, Entry]:
+    named = outputs(batch.flow, saddle.states, np.zeros(1))
+    return {
+        f"{name}_points": variable(
+            (LANE, "point"),
+            named[name].data,
+            f"{named[name].long_name} of points near the saddle",
+            **named[name].attrs,
+        )
+        for name in batch.flow.coordinates
+        if name in named
+    }
+
+
+def starts(options: TransientsOptions) -> Starts | None:
+    """Return the function that draws the random starts."""
+
+    def draw(batch: LaneBatch) -> tuple[Any, np.ndarray]:
+        many, _ = random_start_batch(batch, options.n_starts, options.seed, options.box)
+        return many.start, np.repeat(np.arange(batch.count), options.n_starts)
+
+    return draw
+
+
+def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """Return the range over lanes of the escape rate, of the mean lifetime, and of the saddle's numbers."""
+    names = "escape_rate", "mean_lifetime", "saddle_exponent", "saddle_dimension"
+    rows = []
+    for name in names:
+        values = data[name].to_numpy().ravel()
+        finite = values[np.isfinite(values)]
+        said = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size > 1 else "".join(f"{v:.6g}" for v in finite)
+        rows.append((name.replace("_", " "), said or "–"))
+    return Table("Transient chaos", ("quantity", "values"), tuple(rows), left=(0,))
+
+
+def price(options: TransientsOptions, batch: LaneBatch) -> Price:
+    """Return the price of the tangents, which points of the saddle alone have."""
+    lanes = batch.chart.host_points(batch.start), dict(batch.p)
+    strobe = batch.map()
+    program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.trip_counts))
+    return Price(program, map_alone(batch), "tangents at points of the saddle, the map alone before")
+
+
+ANALYSIS = Analysis(
+    "transients",
+    TransientsOptions,
+    periods,
+    run,
+    numbers=numbers,
+    starts=starts,
+    check=check,
+    table=table,
+    price=price,
+    brief={"max_periods": 16, "transient": 0},
+)
+"""The entry of this analysis in the table."""
