@@ -10,7 +10,13 @@ from sweeps.checks import newcomer
 from tests.helpers.paths import ROOT
 
 EXAMPLES = {example.name: example for example in newcomer.examples()}
-WITHOUT = {"config.md", "orbits.md", "reversal.md", "without_clock.md"}  # pages with configs alone, in parts
+WITHOUT = {
+    "config.md",
+    "orbits.md",
+    "reversal.md",
+    "transients.md",
+    "without_clock.md",
+}  # pages with configs alone, in parts
 
 
 def test_every_document_is_run():

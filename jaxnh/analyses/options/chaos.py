@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import BLOCKS, Options, Side, check_random_starts, check_sides, rule
+from jaxnh.analyses.options.base import BLOCKS, Options, Side, check_sides, rule
 
 
 class LyapunovOptions(Options):
@@ -59,7 +59,7 @@ class TransientsOptions(Options):
 
     n_starts: int = Field(default=4096, ge=16, description="Random start states at each value of parameters")
     box: dict[str, Side] = Field(
-        description="Coordinates of random start states, each with its lowest and highest value"
+        default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
     )
     region: dict[str, Side] = Field(
         default_factory=dict,
@@ -71,7 +71,7 @@ class TransientsOptions(Options):
 
     @model_validator(mode="after")
     def _check(self) -> TransientsOptions:
-        check_random_starts(self.box, self.n_starts, seeded=False)
+        check_sides(self.box)
         check_sides(self.region, "region")
         if self.transient >= self.max_periods:
             raise rule(f"must be less than max_periods, {self.max_periods}", "transient", "max_periods")

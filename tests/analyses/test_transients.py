@@ -1,0 +1,106 @@
+"""Escape rates, mean lifetimes, exponents and dimensions of saddles that are known in closed form."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.analyses.transients.lifetimes import escape_rate
+from jaxnh.exceptions import InputError
+
+LEAST = 0.95 - 3 * np.sqrt(0.95 * 0.05 / 100)
+"""Of 100 intervals of 95 %, the share that covers at least, but for one case in a thousand."""
+
+
+def open_tent(left=3.0, right=3.0, repetition=0.0):
+    """Of an even measure the share 1/left + 1/right stays in (0, 1)."""
+    del repetition
+
+    def image(y):
+        return jnp.where(y[0] < 0.5, left * y[0], right * (1.0 - y[0]))
+
+    return {"map": image, "coordinates": "x"}
+
+
+def repelling_line(rate=0.3, repetition=0.0):
+    """ẋ = rate (1 + cos(2πt)/2) x, ẏ = −y: of even starts in |x| < 1 the share exp(−rate n) stays for n periods."""
+    del repetition
+
+    def rhs(y, t):
+        return rate * (1.0 + 0.5 * jnp.cos(2 * jnp.pi * t)) * y[0], -y[1]
+
+    return {"rhs": rhs, "coordinates": ("x", "y"), "period": 1.0}
+
+
+def covers(data, name, exact):
+    """Share of the lanes whose interval has the exact value."""
+    if f"{name}_low" in data:
+        return np.mean((data[f"{name}_low"] <= exact) & (exact <= data[f"{name}_high"]))
+    return np.mean(np.abs(data[name] - exact) <= data[f"{name}_error"] + 1e-12)
+
+
+def test_the_open_tent_map():
+    """κ = ln(3/2), λ = ln 3, D = ln 2/ln 3: the saddle is Cantor's set."""
+    options = jaxnh.Transients(n_starts=2048, box={"x": (0.0, 1.0)})
+    session = jaxnh.Session(open_tent, start={"x": 0.3})
+    data = session.run(options, repetition=np.arange(100.0))
+    assert covers(data, "escape_rate", np.log(1.5)) >= LEAST
+    assert covers(data, "mean_lifetime", 3.0) >= LEAST
+    assert covers(data, "saddle_exponent", np.log(3.0)) == 1.0
+    assert covers(data, "saddle_dimension", np.log(2) / np.log(3)) >= LEAST
+    points = data["x_points"].to_numpy()
+    for _ in range(2):  # each stays for two periods more at least, and then lies in no gap of that order
+        assert not np.any((points > 1 / 3) & (points < 2 / 3))
+        points = 3.0 * np.minimum(points, 1.0 - points)
+    assert data["escaped"].all()
+
+
+@pytest.mark.slow
+def test_an_open_map_of_two_slopes():
+    """κ = −ln(1/a + 1/c); branches are taken with weights 1/a and 1/c, and so λ is a mean that scatters."""
+    options = jaxnh.Transients(box={"x": (0.0, 1.0)})
+    data = jaxnh.Session(open_tent, start={"x": 0.3}).run(options, left=2.5, right=4.0, repetition=np.arange(1000.0))
+    rate, exponent = -np.log(0.65), (0.4 * np.log(2.5) + 0.25 * np.log(4.0)) / 0.65
+    least = 0.95 - 3 * np.sqrt(0.95 * 0.05 / 1000)
+    assert covers(data, "escape_rate", rate) >= least
+    assert covers(data, "saddle_exponent", exponent) >= least
+    assert covers(data, "saddle_dimension", 1.0 - rate / exponent) >= least
+
+
+def test_a_flow_with_a_saddle():
+    """κ = λ = rate, so that D = 0; followed for 16 periods, when one motion in 120 is left: its lifetime is censored."""
+    options = jaxnh.Transients(
+        n_starts=1024, box={"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, region={"x": (-1.0, 1.0)}, max_periods=16, transient=0
+    )
+    session = jaxnh.Session(repelling_line, start={"x": 0.3, "y": 0.1}, target=1e-7)
+    data = session.run(options, repetition=np.arange(100.0))
+    assert covers(data, "escape_rate", 0.3) >= LEAST
+    assert covers(data, "mean_lifetime", 1.0 / -np.expm1(-0.3)) >= LEAST
+    assert covers(data, "saddle_exponent", 0.3) >= LEAST
+    assert covers(data, "saddle_dimension", 0.0) >= LEAST
+    assert not data["escaped"].all()
+    assert np.all(data["lifetime"].to_numpy()[data["escaped"].to_numpy() == 0] == 16)
+
+
+def test_rates_of_lifetimes_that_are_censored():
+    """Motions that leave with the chance 0.2 a period, followed for five: 95 of 100 intervals have it."""
+    draws = np.random.default_rng(3)
+    life = draws.geometric(0.2, (1000, 200))
+    rate = escape_rate(np.minimum(life, 5), life <= 5, 1)
+    share = np.mean((rate.rate[1] <= -np.log(0.8)) & (-np.log(0.8) <= rate.rate[2]))
+    assert share >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 1000)
+    nothing = escape_rate(np.full((1, 20), 3), np.ones((1, 20), bool), 8)
+    assert np.isnan(nothing.rate).all()
+    assert nothing.escapes[0] == 0
+
+
+def test_options_that_do_not_go_together():
+    with pytest.raises(InputError, match="must be less than max_periods"):
+        jaxnh.Transients(box={"x": (0.0, 1.0)}, max_periods=16, transient=16)
+    session = jaxnh.Session(open_tent, start={"x": 0.3})
+    with pytest.raises(InputError, match="there is no coordinate y; known are x"):
+        session.run(jaxnh.Transients(box={"x": (0.0, 1.0)}, region={"y": (0.0, 1.0)}))
+    with pytest.raises(InputError, match="needs a box to draw its starts from"):
+        session.run(jaxnh.Transients())
