@@ -73,6 +73,8 @@ def lowered_for_cuda_too():
 
     with mock.patch.object(programs, "_lower", lower):
         yield
+
+
 def starts_between(name, low, high):
     """Options of `transients` in a range of another coordinate."""
     return {"transients": OPTIONS["transients"] | {"box": {name: (low, high)}, "region": {name: (-9.0, 9.0)}}}
