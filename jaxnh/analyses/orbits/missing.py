@@ -52,7 +52,7 @@ def missing_orbits(rounds: Int[np.ndarray, " orbits"], total: int) -> Missing:
     low, high = np.floor(estimate / factor), np.ceil(estimate * factor)
     missed = (1.0 - met / total) ** total
     high = max(high, _poisson_quantile(float(np.sum(missed / (1.0 - missed)))))
-    return Missing(*(max(float(value) - elsewhere, 0.0) for value in (estimate, low, high)))
+    return Missing(*(abs(max(float(value) - elsewhere, 0.0)) for value in (estimate, low, high)))  # no negative zero
 
 
 def _poisson_quantile(mean: float) -> float:
