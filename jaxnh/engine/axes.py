@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.base import LANE, Entry, variable
 from jaxnh.analyses.batch import Axis
 from jaxnh.engine.experiment import Experiment
+from jaxnh.jobs.assembly import CommonAttributes
 from jaxnh.jobs.cutting import Piece
 from jaxnh.maps.family import ParameterFamily
 from jaxnh.maps.section import System
@@ -130,6 +131,25 @@ def _even_counts(sizes: Sequence[int], most: int | None) -> list[int]:
 
 
 # ---- back to axes
+
+
+def join_lanes(parts: Sequence[xr.Dataset], back: Int[np.ndarray, " lanes"]) -> xr.Dataset:
+    """A dataset of lanes that were computed in parts.
+
+    Args:
+        parts: which agree in what has no lanes.
+        back: place of every lane among those of all parts.
+    """
+    common = CommonAttributes()
+    for part in parts:
+        common.add(part.attrs)
+    content = {}
+    for name, item in parts[0].variables.items():
+        values = item.values
+        if item.dims[:1] == (LANE,):
+            values = np.concatenate([part.variables[name].values for part in parts])[back]
+        content[name] = (item.dims, values, item.attrs)
+    return xr.Dataset(content, attrs=common.attributes(())).set_coords([str(name) for name in parts[0].coords])
 
 
 def to_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool) -> xr.Dataset:

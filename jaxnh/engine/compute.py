@@ -15,7 +15,17 @@ from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.accuracy.cost_model import lanes_a_tile
-from jaxnh.engine.axes import SweepPoints, places_of, points, points_along, points_together, to_axes, whole_to_axes
+from jaxnh.engine.accuracy.step_classes import classes_of, lanes_together, steps_of
+from jaxnh.engine.axes import (
+    SweepPoints,
+    join_lanes,
+    places_of,
+    points,
+    points_along,
+    points_together,
+    to_axes,
+    whole_to_axes,
+)
 from jaxnh.engine.batches import Requested, lanes_of, stackable
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
@@ -69,15 +79,15 @@ def solver_plan(plan: NumericalPlan) -> Plan:
     """The solver and steps of a numerical plan."""
     solver = NAMED[plan.solver]
     form = in_loop(solver) if plan.rolled else solver
-    return Plan(form, plan.steps, plan.compensated, plan.error_estimate, plan.sizes, plan.parts)
+    own = plan.parts, plan.step_classes
+    return Plan(form, plan.steps, plan.compensated, plan.error_estimate, plan.sizes, *own)
 
 
 def numerical_plan(plan: Plan, chosen: Mapping[str, Mapping[str, int]]) -> NumericalPlan:
     """The numerical plan of a solver and steps, with settings that analyses have chosen."""
     rolled = bool(getattr(plan.solver, "rolled", False))
-    return NumericalPlan(
-        plan.solver.name, plan.steps, plan.compensated, plan.error_estimate, chosen, rolled, plan.sizes, plan.parts
-    )
+    common = plan.solver.name, plan.steps, plan.compensated, plan.error_estimate
+    return NumericalPlan(*common, chosen, rolled, plan.sizes, plan.parts, plan.step_classes)
 
 
 def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor) -> LaneExecutor:
@@ -116,7 +126,8 @@ def compute(
     if level is not None:
         wanted = np.concatenate([level.wanted_in(piece) for piece in batch])
         places = tuple(place[wanted] for place in places)
-    groups = _groups(experiment, axes, requested, job, batch[0].names, places, lanes, line=line)
+    args = experiment, axes, requested, job, batch[0].names, places, lanes
+    groups = _by_class(*args) if job.plan.step_classes and not line else _groups(*args, line=line)
     after = spent(lanes, time.perf_counter() - began)
     done, first = [], 0
     for piece in batch:
@@ -150,8 +161,15 @@ def _groups(
     lanes: LaneExecutor,
     *,
     line: bool,
+    halvings: int = 0,
+    count: int = 0,
 ) -> dict[str, xr.Dataset]:
-    """The datasets of analyses of the lanes at some places along the axes; none where there are no lanes."""
+    """The datasets of analyses of the lanes at some places along the axes; none where there are no lanes.
+
+    Args:
+        halvings: class of steps of all of them.
+        count: lanes that tiles are for, by default all of the sweep.
+    """
     if not len(places[0]):
         return {}
     if line:
@@ -160,18 +178,42 @@ def _groups(
         stacked = stackable(experiment, axes, requested, job.plan.solver)
         at = (points_together if stacked else points)(experiment, axes, places)
     place = places[0] * job.cutting.step
-    lane_batch = batch_of(
-        at, solver_plan(job.plan), experiment.precision, job.plan.chosen, place, axes[0] if line else None
-    )
+    plan = solver_plan(job.plan)
+    plan = plan._replace(steps=steps_of(plan.steps, halvings))
+    lane_batch = batch_of(at, plan, experiment.precision, job.plan.chosen, place, axes[0] if line else None)
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:
         analysis = ANALYSES[name]
         needs = analysis.options.needs
         needed = ({need: groups[need] for need in needs},) if needs else ()
-        few = executor_for(analysis, options[name], experiment.sweep.lanes, lanes)
+        few = executor_for(analysis, options[name], count or experiment.sweep.lanes, lanes)
         groups[name] = analysis.run(options[name], lane_batch, few, *needed)
     return groups
+
+
+def _by_class(
+    experiment: Experiment,
+    axes: Sequence[Axis],
+    requested: Requested,
+    job: Job,
+    names: Sequence[str],
+    places: Sequence[np.ndarray],
+    lanes: LaneExecutor,
+) -> dict[str, xr.Dataset]:
+    """The same of lanes that differ in their class of steps: those of each in calls of their own."""
+    every, shape = classes_of(job.plan.step_classes), [len(axis.values) for axis in experiment.axes]
+    classes = every[np.ravel_multi_index([place * job.cutting.step for place in places], shape)]
+    order, parts = list[np.ndarray](), list[dict[str, xr.Dataset]]()
+    for halvings in np.unique(classes).tolist():
+        order.append(np.flatnonzero(classes == halvings))
+        some, count = [place[order[-1]] for place in places], lanes_together(every, halvings)
+        args = experiment, axes, requested, job, names, some, lanes
+        parts.append(_groups(*args, line=False, halvings=halvings, count=count))
+    if len(parts) < 2:
+        return parts[0] if parts else {}
+    back = np.argsort(np.concatenate(order))
+    return {name: join_lanes([part[name] for part in parts], back) for name in names}
 
 
 def _combine_tiles(

@@ -16,6 +16,7 @@ from jaxnh.analyses.batch import Axis, LaneBatch, select
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.engine.accuracy import cost_model
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
+from jaxnh.engine.accuracy.step_classes import ClassSearch, find_classes, text_of
 from jaxnh.engine.axes import SweepPoints, points, sample_places
 from jaxnh.engine.batches import Requested, lanes_of, shared_values_a_tile
 from jaxnh.engine.cache import calibrations
@@ -31,13 +32,14 @@ from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import Provenance, versions
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.section import Section
-from jaxnh.solvers import SOLVERS, Solver, iteration
+from jaxnh.solvers import SOLVERS, AdaptiveMethod, Solver, iteration
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import Flow
 
 _MOST_CHOOSING = 1 << 16  # lanes of a sweep with more than are run unasked that analyses choose by
 _LONGEST_RUN = 86400.0  # seconds that a sweep may take unasked: what takes days is a slip, or work for a cluster
 _UNITS = ((172800.0, 86400.0, "days"), (7200.0, 3600.0, "hours"), (0.0, 60.0, "minutes"))  # from what time on
+_LANES_CHECKED = 512  # on which steps of lanes of their own are
 _TILES_A_PART = 4  # at least, so that parts differ by one in four at most
 
 
@@ -145,6 +147,34 @@ def in_quickest_form(experiment: Experiment, axes: Sequence[Axis], plan: Plan, r
     return plan._replace(solver=cost_model.quickest_form(*_job(experiment, axes, plan, requested)))
 
 
+def with_step_classes(
+    experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
+) -> Plan:
+    """The plan with the steps of lanes that need fewer than others, where that saves half of all and they are many.
+
+    Not of steps that are given or a lane's own already, nor of what all lanes of a program share, as a table of kicks.
+    """
+    flow, count = experiment.flow(), experiment.sweep.lanes
+    if experiment.accuracy.steps or experiment.precision != "float64" or not flow.continuous or plan.parts > 1:
+        return plan
+    if isinstance(plan.solver, AdaptiveMethod) or scheme_of(flow, plan.solver).stacked:
+        return plan
+    if any(axis.kind == "shared" for axis in axes) or not cost_model.is_worth_classes(
+        *_job(experiment, axes, plan, [(a, options) for a, options in requested if a.independent(options)])
+    ):
+        return plan
+    if any(analysis.starts(options) is not None for analysis, options in requested):
+        return plan  # states that are drawn later may need more
+    [sampled] = sample_places(axes, _LANES_CHECKED)
+    shape = [len(axis.values) for axis in axes]
+    every = points(experiment, axes, np.unravel_index(np.arange(count), shape))
+    few = lanes.in_tiles(cost_model.lanes_a_tile(count), count)
+    with lanes.stage("accuracy: steps of lanes of their own", 0):
+        search = ClassSearch(every, plan, experiment.accuracy.target, few)
+        classes = find_classes(search, np.ravel_multi_index(sampled, shape))
+    return plan._replace(step_classes=text_of(classes))
+
+
 def _job(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> tuple[Solver, Flow, float]:
     """The solver, a flow and the lane-steps of a sweep, those that fill up tiles too."""
     lanes = experiment.sweep.lanes
@@ -243,6 +273,7 @@ def decide(
         plan = in_quickest_form(experiment, axes, find_plan(experiment, axes, lanes, requested), requested)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
+        plan = with_step_classes(experiment, axes, plan, requested, lanes)
         with lanes.stage("accuracy: settings of analyses on sample lanes", 0):
             chosen = choose(experiment, axes, plan, requested, lanes)
         calibrations.keep(name, Decision(numerical_plan(plan, chosen), lanes.accounts.fastest))

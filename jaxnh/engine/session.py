@@ -33,6 +33,7 @@ from jaxnh.engine.plan import (
     is_short,
     job_of,
     start_samplers,
+    with_step_classes,
 )
 from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes
@@ -283,6 +284,7 @@ class Session:
             )
         axes, requested, lanes = experiment.axes, experiment.requested(), self._lanes
         plan = in_quickest_form(experiment, axes, self._plan_for(experiment, axes), requested)
+        plan = with_step_classes(experiment, axes, plan, requested, lanes)
         chosen = choose(experiment, axes, plan, requested, lanes)
         job = job_of(experiment, axes, plan, chosen, requested, lanes.machine)
         whole, of_lanes = dict[str, xr.Dataset](), dict[str, xr.Dataset]()

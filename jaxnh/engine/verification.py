@@ -53,6 +53,7 @@ def sample(path: Path) -> dict[str, tuple[int, int]]:
         float(attrs["error_estimate"]),
         json.loads(attrs.get("sizes_of_motion", "{}")),
         int(attrs.get("error_estimate_parts", 1)),
+        attrs.get("step_classes", ""),
     )
     whole = job_of(experiment, experiment.axes, plan, json.loads(attrs["auto_settings"]), requested, {}, _LANES)
     job = whole.stages()[int(attrs.get("level", 1)) - 1]

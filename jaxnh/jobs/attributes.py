@@ -92,6 +92,7 @@ def _of_plan(plan: NumericalPlan, precision: str) -> Attributes:
         "error_estimate": plan.error_estimate,
         **({"sizes_of_motion": json.dumps(plan.sizes)} if plan.sizes else {}),
         **({"error_estimate_parts": plan.parts} if plan.parts > 1 else {}),
+        **({"step_classes": plan.step_classes} if plan.step_classes else {}),
     }
 
 

@@ -25,6 +25,8 @@ class NumericalPlan:
         rolled: whether the stages of a step are a loop.
         sizes: of the motion, by coordinate, that the error is relative to; none where it is absolute.
         parts: of a unit of time, of one of which the error is.
+        step_classes: of lanes in C order, "k*n k*n" where n lanes in a row
+            take 2^k times fewer steps; "" where none does.
     """
 
     solver: str
@@ -35,6 +37,7 @@ class NumericalPlan:
     rolled: bool = False
     sizes: Mapping[str, float] = field(default_factory=dict[str, float])
     parts: int = 1
+    step_classes: str = ""
 
 
 @dataclass(frozen=True)

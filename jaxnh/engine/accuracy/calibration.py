@@ -29,8 +29,12 @@ from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
 
-_LEFT_OUT = 5e-5  # of the periods looked at, that err most: half of the share that may miss the target
-_SAFETY = 2.0  # the error is taken this many times: some lanes of the sweep have larger ones
+LEFT_OUT = 5e-5
+"""Share of the periods looked at, that err most: half of the share that may miss the target."""
+
+SAFETY = 2.0
+"""The error is taken this many times: some lanes of the sweep have larger ones."""
+
 _ROUNDS = 8
 _SPLIT, _MOST_PARTS = 4, 1024  # parts of a unit of time that is too long for its rounding
 _PRECISE = {
@@ -46,6 +50,7 @@ class Plan(NamedTuple):
     Attributes:
         sizes: of the motion, by coordinate, that errors are relative to; none where they are absolute.
         parts: of a unit of time, of one of which the error is; a period or return is one.
+        step_classes: of lanes that take a power of two fewer steps, as text (`step_classes`); "" where none does.
     """
 
     solver: Solver
@@ -54,6 +59,7 @@ class Plan(NamedTuple):
     error_estimate: float
     sizes: Mapping[str, float] = {}
     parts: int = 1
+    step_classes: str = ""
 
 
 class Calibration:
@@ -120,7 +126,7 @@ class Calibration:
         self._summations = (False,) if flow.autonomous else scheme.summations
         self._samples, looked_at, self._sizes = take_samples(maps, self._rows, self._given)
         self.sizes = sizes_by_name(maps.flows[0], self._sizes)
-        self._left_out = int(_LEFT_OUT * looked_at)
+        self._left_out = int(LEFT_OUT * looked_at)
         self._measure_reference()
         while self._reference.unresolved and self._split_unit():
             pass
@@ -288,7 +294,7 @@ class Calibration:
 
         chance = 0.0 if compensated else self._rounding
         apart = differences(self._maps.image(strobe, self._samples), self._reference.image)
-        return np.maximum(_SAFETY * np.maximum(gaps_between(apart, self._sizes), chance), self._reference.known)
+        return np.maximum(SAFETY * np.maximum(gaps_between(apart, self._sizes), chance), self._reference.known)
 
     def _largest_at(self, errors: Float[np.ndarray, " samples"]) -> int:
         """The sample of the largest error but for the share of all periods that is left out."""

@@ -20,6 +20,7 @@ _COMPILING = 8e-4  # seconds to trace and compile an equation of a step that is 
 _LOOPED = 2e-10  # seconds more for a coordinate at a stage of a lane-step, where the stages are a loop
 _RATE = 1e-9  # seconds for a coordinate at a stage of a lane-step in a loop
 _WORTH_COMPARING = 0.5  # seconds of a run: solvers differ by a third of it, and each compiles for a fifth of a second
+_WORTH_CLASSES = 20.0  # seconds of a run: a look at all lanes takes some, and programs of more tiles a second each
 _TILES = ((16, 8), (128, 32), (512, 128))  # lanes of a sweep up to which a tile has so many
 _LARGEST_TILE = 256
 
@@ -44,6 +45,11 @@ def quickest_form(solver: Solver, flow: Flow, lane_steps: float) -> Solver:
 def is_short(solver: Solver, flow: Flow, lane_steps: float) -> bool:
     """Return whether a job is done before another solver would be compiled and measured, and its gain begin."""
     return _RATE * solver.stages * flow.chart.dimension * lane_steps < _WORTH_COMPARING
+
+
+def is_worth_classes(solver: Solver, flow: Flow, lane_steps: float) -> bool:
+    """Return whether a job is so long that lanes are looked at for fewer steps of their own."""
+    return _RATE * solver.stages * flow.chart.dimension * lane_steps > _WORTH_CLASSES
 
 
 def lanes_a_tile(lanes: int) -> int:

@@ -1,0 +1,173 @@
+"""Steps of lanes of their own: a sweep with few fast lanes takes the mean of their steps, and no lane errs more."""
+
+from __future__ import annotations
+
+import heyoka as hy
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from jaxnh.engine import plan as planning
+from jaxnh.engine.accuracy import cost_model
+from jaxnh.engine.accuracy.step_classes import classes_of, steps_of, text_of
+from jaxnh.engine.axes import points
+from jaxnh.engine.compute import batch_of, compute
+from jaxnh.engine.executor.tiles import inner_trip_count
+from jaxnh.engine.experiment import Experiment
+from jaxnh.jobs.cutting import Piece
+from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
+
+TARGET, LANES, FAST = 1e-6, 200, 2
+# Van der Pol's oscillator, `rate` times as fast, with a clock, in time alone and on a section.
+SOURCE = """
+import jax.numpy as jnp
+
+def system(rate=1.0, push=0.0):
+    def rhs(y, t):
+        x, v = y
+        return rate * v, rate * ((1 - x * x) * v - x + push * %s)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), %s}
+"""
+CLOCK, NO_CLOCK = ("jnp.cos(2 * jnp.pi * t)", '"period": 1.0'), ("0.0", '"time_unit": 1.0')
+KINDS = {
+    "clock": (CLOCK, "{}"),
+    "time": (NO_CLOCK, "{}"),
+    "section": (NO_CLOCK, "{coordinate: x, value: 0.0, direction: up}"),
+}
+TEXT = """\
+system: {{file: oscillator.py, push: 0.3}}
+sweep: {{rate: {{values: {rates}}}}}
+initial: {{x: 1.0, v: 0.0}}
+accuracy: {{target: {target}}}
+{section}
+analyses: {{{analysis}}}
+"""
+POINCARE = "poincare: {transient: 40, strobes: 2}"
+
+
+def rates(count=LANES, fast=FAST, factor=100.0):
+    """One lane in a hundred a hundred times as fast, in two places."""
+    spread = 1.0 + 0.25 * np.linspace(0.0, 1.0, count)
+    spread[np.linspace(count // 3, count - 1, fast).astype(int)] *= factor
+    return spread
+
+
+def experiment_of(kind="clock", values=None, analysis=POINCARE):
+    formulas, section = KINDS[kind]
+    values = rates() if values is None else values
+    section = f"section: {section}" if section != "{}" else ""
+    text = TEXT.format(rates=values.tolist(), target=TARGET, section=section, analysis=analysis)
+    return Experiment.from_text(text, SOURCE % formulas)
+
+
+def planned(experiment, lanes):
+    """The plan with common steps, and with those of lanes of their own."""
+    common = planning.find_plan(experiment, experiment.axes, lanes, experiment.requested())
+    return common, planning.with_step_classes(experiment, experiment.axes, common, experiment.requested(), lanes)
+
+
+@pytest.fixture
+def any_size(monkeypatch):
+    """However short a run is, lanes are looked at."""
+    monkeypatch.setattr(cost_model, "_WORTH_CLASSES", 0.0)
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    return lanes_with_kept_programs()
+
+
+class CountingTiles:
+    """Counts the steps of all lanes of all tiles, those that fill up tiles too."""
+
+    def __init__(self, tiles):
+        self.tiles, self.lane_steps = tiles, 0.0
+
+    def run(self, call, first=0):
+        filled = -(-len(jax.tree.leaves(call.lanes)[0]) // call.tile) * call.tile
+        self.lane_steps += filled * call.periods * inner_trip_count(call.shared)
+        return self.tiles.run(call, first)
+
+
+# ---- classes as text
+
+
+@given(arrays(np.int64, st.integers(1, 60), elements=st.integers(0, 12)))
+def test_text_keeps_every_class(classes):
+    text = text_of(classes)
+    np.testing.assert_array_equal(classes_of(text) if text else np.zeros(len(classes), int), classes)
+
+
+def test_neighbours_share_the_finest_class_where_the_text_is_too_long():
+    """A file has room for 64 kB in an attribute."""
+    classes = np.random.default_rng(1).integers(0, 3, 100_003)
+    text = text_of(classes)
+    assert len(text) < 1 << 16
+    shared = classes_of(text)
+    assert len(shared) == len(classes)
+    assert np.all(shared <= classes)
+
+
+# ---- plans
+
+
+def heyoka_periods(kind, values, states, times):
+    """States (lanes, 2) so long a time after their own, by heyoka's Taylor series."""
+    x, v, drive = *hy.make_vars("x", "v"), 0.3 * hy.cos(2 * np.pi * hy.time) if kind == "clock" else 0.0
+    rate = hy.par[0]
+    equations = [(x, rate * v), (v, rate * ((1.0 - x * x) * v - x + drive))]
+    integrator = hy.taylor_adaptive(equations, [0.0, 0.0], pars=[1.0], tol=1e-18)
+    ends = []
+    for value, state, time in zip(values, states, times, strict=True):
+        integrator.pars[0], integrator.time, integrator.state[:] = value, 0.0, state
+        integrator.propagate_until(time)
+        ends.append(integrator.state.copy())
+    return np.array(ends)
+
+
+def errors_of(kind, experiment, plan, lanes, numbers):
+    """Errors of P on lanes after 0, 7 and 60 periods, in units of the sizes, by heyoka."""
+    axes, classes = experiment.axes, classes_of(plan.step_classes)
+    worst = []
+    for number in numbers:
+        at = points(experiment, axes, (np.array([number]),))
+        own = plan._replace(steps=steps_of(plan.steps, int(classes[number])))
+        batch = batch_of(at, own, "float64")
+        strobe, state = batch.strobe(), batch.start
+        for periods in (0, 7, 53):
+            state = lanes.iterate(strobe, periods, (state, dict(at.p)))
+            after = lanes.iterate(strobe, 1, (state, dict(at.p)))
+            begun, ended = ((y.state if kind == "section" else y).y for y in (state, after))
+            time = after.t - state.t if kind == "section" else np.ones(1)
+            values = at.p["rate"]
+            exact = heyoka_periods(kind, values, np.array(begun).T, time).T
+            x, v = exact
+            if kind == "section":  # from the state at our time onto the section
+                late = -x / (values * v)
+                got = np.array([ended[1] - (v + values * (1 - x * x) * v * late), late])
+                sizes = np.array([plan.sizes["v"], plan.sizes["t"]])
+            else:
+                got, sizes = np.array(ended) - exact, np.array([plan.sizes["x"], plan.sizes["v"]])
+            worst.append(float(np.max(np.abs(got) / sizes[:, None])))
+    return np.array(worst)
+
+
+@pytest.mark.usefixtures("any_size")
+@pytest.mark.parametrize(
+    "kind", ["clock", pytest.param("time", marks=pytest.mark.slow), pytest.param("section", marks=pytest.mark.slow)]
+)
+def test_a_wide_sweep_takes_the_mean_of_the_steps_within_the_target(kind, lanes):
+    """The fast lanes keep the common steps; slow ones take at most a sixteenth, and err by less than the target."""
+    experiment, values = experiment_of(kind), rates()
+    common, plan = planned(experiment, lanes)
+    classes = classes_of(plan.step_classes)
+    fast = values > 10.0
+    assert np.all(classes[fast] == 0)
+    assert np.all(classes[~fast] >= 4)
+    assert plan._replace(step_classes="") == common
+    numbers = [*np.flatnonzero(fast), *np.random.default_rng(3).choice(LANES, 12, replace=False)]
+    assert np.max(errors_of(kind, experiment, plan, lanes, numbers)) <= TARGET
