@@ -36,6 +36,7 @@ _CHECKED = 170  # in which sample lanes are, as by a calibration
 _MARGIN = 64.0  # times the error: chaotic motion later errs m times as much as in k periods with probability 1/(k m)
 _MOST_RUNS = 4096  # of equal classes along the lanes: their text fits into an attribute of a file
 _LANES_AT_ONCE = 8192
+_CONTRACTED = 1e-4  # length of an image: of a shorter one rounding may be what differs
 _BATCH = 512  # lanes that are computed at once, about: with more, classes fill their tiles no worse
 _FEWEST_PERIODS = 4  # of a glance at sample lanes
 
@@ -128,15 +129,15 @@ class ClassSearch:
         classes, left = np.zeros(self.count, int), np.arange(self.count)
         for halvings in range(self.coarsest, 0, -1):
             state, p = select((self.at.start, dict(self.at.p)), left)
-            passed, later = left, state
+            passed = left
             for some in (1, periods - 1):  # most lanes that fail do so in the first period
-                gaps, later = self._gaps(halvings, later, p, some)
+                gaps, state = self._gaps(halvings, state, p, some)
                 good = np.all(_MARGIN * gaps <= self.target, axis=1)
-                passed, (state, later, p) = passed[good], select((state, later, p), good)
+                passed, (state, p) = passed[good], select((state, p), good)
                 if not len(passed):
                     break
             if tangents and len(passed):
-                passed = passed[self._tangents_agree(halvings, state, p) & self._tangents_agree(halvings, later, p)]
+                passed = passed[self._tangents_agree(halvings, state, p)]
             classes[passed] = halvings
             left = np.setdiff1d(left, passed)
             if not len(left):
@@ -183,13 +184,13 @@ class ClassSearch:
         return SAFETY * gaps_between(apart, sizes)
 
     def _tangents_agree(self, halvings: int, state: State, p: Parameters) -> np.ndarray:
-        """Return where the image of a tangent is accurate, relative to its length."""
+        """Return where the image of a tangent of length one a coordinate is accurate, relative to its length."""
         coarse, fine = (
             self.lanes(push_tangent, (self._map(k),), (state, p), periods=1) for k in (halvings, halvings - 1)
         )
         with np.errstate(invalid="ignore", over="ignore"):
             apart = np.linalg.norm(coarse - fine, axis=1)
-            return apart * SAFETY <= self.target * np.linalg.norm(fine, axis=1)
+            return apart * SAFETY <= self.target * np.maximum(np.linalg.norm(fine, axis=1), _CONTRACTED)
 
 
 def push_tangent(strobe: ReturnMap, state: State, p: Parameters) -> Float[Array, " d"]:
