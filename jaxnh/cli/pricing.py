@@ -20,12 +20,21 @@ from jaxnh.cli.terminal import progress, show
 from jaxnh.costs import STUDIES, forms, solvers, tables
 from jaxnh.costs import effects as costs_of_effects
 from jaxnh.engine.accuracy.calibration import Calibration, Plan
+from jaxnh.engine.accuracy.step_classes import lanes_by_steps, mean_steps
 from jaxnh.engine.axes import points
 from jaxnh.engine.compute import batch_of, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import check_output
-from jaxnh.engine.plan import calibrate, in_quickest_form, job_of, plan_of, work_of
+from jaxnh.engine.plan import (
+    calibrate,
+    in_quickest_form,
+    job_of,
+    plan_of,
+    why_common_steps,
+    with_step_classes,
+    work_of,
+)
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.xla_options import configure, devices_of
 from jaxnh.exceptions import ArgumentError, InputError, ResultError
@@ -89,6 +98,8 @@ def price_accuracy(experiment: Experiment, path: Path, repeats: int, began: floa
     console, times = Console(), dict[str, float]()
     with _part("accuracy", times):
         bench = _bench(experiment, began)
+    with _part("steps", times):
+        print(_steps(bench))
     groups: dict[str, xr.Dataset] = {}
     if experiment.autonomous:
         print("solvers are priced on a strobe map, and this scene has no clock: stages alone are", file=sys.stderr)
@@ -146,6 +157,20 @@ def _bench(experiment: Experiment, began: float) -> PricedExperiment:
     along = along if along and along.kind == "lane" else None
     batch = batch_of(points(experiment, axes, places), plan, experiment.precision, axis=along)
     return PricedExperiment(experiment, batch, plan, calibration, lanes, began)
+
+
+def _steps(bench: PricedExperiment) -> str:
+    """The steps of lanes, common ones or their own, and why."""
+    args = bench.experiment, bench.experiment.axes, bench.plan, bench.experiment.requested()
+    common = f"{bench.plan.steps} steps for every lane: "
+    if why := why_common_steps(*args):
+        return common + why
+    plan = with_step_classes(*args, bench.lanes)
+    if not (by_steps := lanes_by_steps(plan)):
+        return f"{common}lanes are alike, steps of their own would save less than half of all"
+    mean = mean_steps(plan)
+    each = ", ".join(f"{count:,} take {steps}" for steps, count in by_steps.items())
+    return f"steps of lanes of their own: {each}; {mean:.3g} in the mean, {plan.steps / mean:.2g} times fewer in all"
 
 
 def _forms(bench: PricedExperiment) -> xr.Dataset | None:

@@ -150,21 +150,10 @@ def in_quickest_form(experiment: Experiment, axes: Sequence[Axis], plan: Plan, r
 def with_step_classes(
     experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, lanes: LaneExecutor
 ) -> Plan:
-    """The plan with the steps of lanes that need fewer than others, where that saves half of all and they are many.
-
-    Not of steps that are given or a lane's own already, nor of what all lanes of a program share, as a table of kicks.
-    """
-    flow, count = experiment.flow(), experiment.sweep.lanes
-    if experiment.accuracy.steps or experiment.precision != "float64" or not flow.continuous or plan.parts > 1:
+    """The plan with fewer steps for lanes that need fewer than others, where that saves half of all steps."""
+    if why_common_steps(experiment, axes, plan, requested):
         return plan
-    if isinstance(plan.solver, AdaptiveMethod) or scheme_of(flow, plan.solver).stacked:
-        return plan
-    if any(axis.kind == "shared" for axis in axes) or not cost_model.is_worth_classes(
-        *_job(experiment, axes, plan, [(a, options) for a, options in requested if a.independent(options)])
-    ):
-        return plan
-    if any(analysis.starts(options) is not None for analysis, options in requested):
-        return plan  # states that are drawn later may need more
+    count = experiment.sweep.lanes
     [sampled] = sample_places(axes, _LANES_CHECKED)
     shape = [len(axis.values) for axis in axes]
     every = points(experiment, axes, np.unravel_index(np.arange(count), shape))
@@ -173,6 +162,24 @@ def with_step_classes(
         search = ClassSearch(every, plan, experiment.accuracy.target, few)
         classes = find_classes(search, np.ravel_multi_index(sampled, shape))
     return plan._replace(step_classes=text_of(classes))
+
+
+def why_common_steps(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> str:
+    """Return why lanes are not even looked at for steps of their own; "" where they are."""
+    flow, own = experiment.flow(), [(a, options) for a, options in requested if a.independent(options)]
+    if experiment.accuracy.steps or not flow.continuous:
+        return "they are given"
+    if isinstance(plan.solver, AdaptiveMethod):
+        return "the solver chooses steps for every lane"
+    if scheme_of(flow, plan.solver).stacked or any(axis.kind == "shared" for axis in axes):
+        return "lanes share tables of time"
+    if experiment.precision != "float64" or plan.parts > 1:
+        return "rounding, and not steps alone, decides on errors"
+    if any(analysis.starts(options) is not None for analysis, options in requested):
+        return "random starts may need more than the lanes that are looked at"
+    if not cost_model.is_worth_classes(*_job(experiment, axes, plan, own)):
+        return "the run is short"
+    return ""
 
 
 def _job(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> tuple[Solver, Flow, float]:

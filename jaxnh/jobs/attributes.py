@@ -117,7 +117,7 @@ def error_in_words(attrs: Mapping[Any, object], unit: str = "period", digits: st
 def steps_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:
     """Steps of the solver, from attributes of a result: "60 steps a period", on a section "6 steps in a time of 1".
 
-    Of a map there are none.
+    Where lanes have steps of their own, "15 to 60 steps a period". Of a map there are none.
 
     Args:
         unit: what they are in where there is no section.
@@ -129,6 +129,9 @@ def steps_in_words(attrs: Mapping[Any, object], unit: str = "period") -> str:
     steps = attrs["steps_per_period"]
     if attrs.get("solver") == ITERATION:
         return "no steps"
+    if classes := str(attrs.get("step_classes", "")):
+        halvings = max(int(run.partition("*")[0]) for run in classes.split())
+        steps = f"{-(-int(str(steps)) // (1 << halvings))} to {steps}"
     if "section" not in attrs:
         return f"{steps} steps a {unit}"
     units = np.unique(np.asarray(attrs["strobe_period"], dtype=float))

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-
 import heyoka as hy
 import jax
 import numpy as np
 import pytest
+import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from jaxnh.engine import plan as planning
 from jaxnh.engine.accuracy import cost_model
-from jaxnh.engine.accuracy.step_classes import classes_of, steps_of, text_of
+from jaxnh.engine.accuracy.calibration import Plan
+from jaxnh.engine.accuracy.step_classes import ClassSearch, classes_of, push_tangent, steps_of, text_of
 from jaxnh.engine.axes import points
 from jaxnh.engine.compute import batch_of, compute
 from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
-from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs
+from jaxnh.maps.build import make_return_map
+from jaxnh.solvers import SOLVERS
+from tests.helpers.kept_programs import lanes_with_kept_programs
 
-TARGET, LANES, FAST = 1e-6, 200, 2
+TARGET, LANES, FAST = 1e-6, 100, 1
 # Van der Pol's oscillator, `rate` times as fast, with a clock, in time alone and on a section.
 SOURCE = """
 import jax.numpy as jnp
@@ -51,7 +54,7 @@ EXPONENT = "lyapunov: {transient: 8, periods: 32, exponents: 1, method: averages
 
 
 def rates(count=LANES, fast=FAST, factor=100.0):
-    """One lane in a hundred a hundred times as fast, in two places."""
+    """One lane in a hundred a hundred times as fast."""
     spread = 1.0 + 0.25 * np.linspace(0.0, 1.0, count)
     spread[np.linspace(count // 3, count - 1, fast).astype(int)] *= factor
     return spread
@@ -80,7 +83,7 @@ def any_size(monkeypatch):
 
 @pytest.fixture(scope="module")
 def lanes():
-    return lanes_with_kept_programs(programs=QUICKLY_COMPILED)
+    return lanes_with_kept_programs()
 
 
 class CountingTiles:
@@ -196,6 +199,25 @@ def test_lanes_that_are_alike_keep_the_common_steps(lanes):
     assert plan == common
 
 
+def test_lanes_at_rest_have_accurate_tangents(lanes):
+    """At rest a state says nothing of steps; the derivative of a unit of time is that of exp(J), J = rate (0 1; −1 1)."""
+    experiment, values = experiment_of("time"), np.array([4.0, 12.0])
+    solver = SOLVERS["tsitouras_papakostas8"]
+    at = points(experiment, experiment.axes, (np.arange(2),))
+    start = jax.tree.map(np.zeros_like, at.start)
+    plan = Plan(solver, 256, False, TARGET, {"x": 1.0, "v": 1.0})
+    search = ClassSearch(at._replace(start=start, p={"rate": values}), plan, TARGET, lanes)
+    assert np.all(search.classes(tangents=False) == search.coarsest)
+    classes = search.classes()
+    assert np.all((classes > 0) & (classes < search.coarsest))
+    for number, halvings in enumerate(classes.tolist()):
+        strobe = make_return_map(at.system, solver, steps_of(plan.steps, halvings))
+        state = jax.tree.map(lambda leaf: leaf[0], start)
+        image = push_tangent(strobe, state, {"rate": values[number]})
+        exact = scipy.linalg.expm(values[number] * np.array([[0.0, 1.0], [-1.0, 1.0]])) @ np.ones(2)
+        assert np.linalg.norm(image - exact) <= TARGET * np.linalg.norm(exact)
+
+
 # ---- runs
 
 
@@ -224,7 +246,7 @@ def test_steps_that_are_taken_are_the_mean_and_bits_those_of_a_lane_alone(lanes)
     taken = sum(tiles.lane_steps for tiles in counting) / (LANES * 42)
     mean = np.mean([steps_of(plan.steps, k) for k in classes_of(plan.step_classes).tolist()])
     assert mean < common.steps / 10.0
-    assert taken < 8.0 * mean  # two fast lanes fill a tile of 8, and 198 slow ones one of 256
-    np.testing.assert_array_equal(computed(experiment, plan, lanes, [(0, 1), (1, 70), (70, LANES)]), whole)
+    assert taken < 8.0 * mean  # the fast lane fills a tile of 8, and the slow ones four of 32
+    np.testing.assert_array_equal(computed(experiment, plan, lanes, [(0, 1), (1, 40), (40, LANES)]), whole)
     fast = rates() > 10.0
     np.testing.assert_allclose(whole[fast], computed(experiment, common, lanes)[fast], atol=1e-12)

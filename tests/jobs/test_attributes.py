@@ -77,6 +77,7 @@ def test_what_is_there_only_for_some():
 def test_steps_are_of_a_period_or_of_a_time():
     steps = METHOD.steps
     assert steps_in_words(attributes()) == f"{steps} steps a period"
+    assert steps_in_words({**attributes(), "step_classes": "2*5 0*1 3*2"}) == f"32 to {steps} steps a period"
     assert steps_in_words(attributes(section="y = 0, up")) == f"{steps} steps in a time of 6.283"
     several = attributes(section="y = 0, up", strobe_period=np.array([1.0, 2.0]))
     assert steps_in_words(several) == f"{steps} steps in a unit of time"

@@ -74,6 +74,21 @@ def steps_of(most: int, halvings: int) -> int:
     return -(-most // (1 << halvings))
 
 
+def lanes_by_steps(plan: Plan) -> dict[int, int]:
+    """Numbers of lanes by their steps a period, fewest steps first; none where all take common ones."""
+    if not plan.step_classes:
+        return {}
+    halvings, counts = np.unique(classes_of(plan.step_classes), return_counts=True)
+    both = zip(halvings.tolist(), counts.tolist(), strict=True)
+    return dict(sorted((steps_of(plan.steps, k), count) for k, count in both))
+
+
+def mean_steps(plan: Plan) -> float:
+    """Steps a period in the mean over lanes."""
+    lanes = lanes_by_steps(plan) or {plan.steps: 1}
+    return sum(steps * count for steps, count in lanes.items()) / sum(lanes.values())
+
+
 def lanes_together(classes: Int[np.ndarray, " lanes"], halvings: int) -> int:
     """Lanes of a class that are expected in a batch, which its tiles are for: of few lanes few fill up a tile."""
     return max(1, math.ceil(_BATCH * float(np.mean(classes == halvings))))
