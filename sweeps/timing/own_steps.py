@@ -50,7 +50,7 @@ _SCENES = {
         "analyses: {poincare: {transient: 200, strobes: 8}}",
     ),
     "time": (_TIME, "analyses: {lyapunov: {transient: 32, periods: 128, exponents: 1, method: averages}}"),
-    "section": (_TIME, _SECTION + "analyses: {poincare: {transient: 40, strobes: 8}}"),
+    "section": (_TIME, _SECTION + "analyses: {poincare: {transient: 256, strobes: 8}}"),
 }
 
 

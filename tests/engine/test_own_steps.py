@@ -87,6 +87,23 @@ def test_lanes_that_common_steps_lose_are_no_lanes_that_escape(lanes):
     assert abs(float(later.t - crossing.t) / exact - 1.0) < plan.error_estimate
 
 
+def test_fast_lanes_that_coarse_steps_lose_are_in_the_calibration(lanes):
+    """Van der Pol's oscillator, and a hundred times as fast: it returns to its section in a hundredth of the time."""
+
+    def define(rate=1.0):
+        rhs = lambda y, t: (rate * y[1], rate * ((1.0 - y[0] ** 2) * y[1] - y[0]))  # noqa: E731
+        return {"rhs": rhs, "coordinates": ("x", "v"), "time_unit": 1.0}
+
+    flow = first_order(define, {"rate": 1.0}, ("rate",))
+    section, rates = Section(flow, "x", 0, 0.0, "up"), np.array([1.0, 1.0, 100.0])
+    state = begin(section, flow.start({"x": np.full(3, 1.0), "v": np.full(3, 0.5)}))
+    p = {"rate": rates}
+    plan = Calibration([SweepPoints(section, state, p, p)], lanes, target=TARGET).cheapest(TARGET)
+    strobe = make_return_map(section, plan.solver, plan.steps)
+    times = lanes(iterate, (strobe, np.int32(1)), (state, p)).t
+    assert abs(times[2] - times[0] / 100.0) < 1.01 * plan.error_estimate * plan.sizes["t"]
+
+
 def test_a_corner_is_followed_unasked(lanes):
     """x'' = −x − rate max(x, 0): half-turns of frequencies 1 below zero and ω = √(1 + rate) above it, in closed form."""
 

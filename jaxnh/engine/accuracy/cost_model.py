@@ -20,7 +20,7 @@ _COMPILING = 8e-4  # seconds to trace and compile an equation of a step that is 
 _LOOPED = 2e-10  # seconds more for a coordinate at a stage of a lane-step, where the stages are a loop
 _RATE = 1e-9  # seconds for a coordinate at a stage of a lane-step in a loop
 _WORTH_COMPARING = 0.5  # seconds of a run: solvers differ by a third of it, and each compiles for a fifth of a second
-_WORTH_CLASSES = 20.0  # seconds of a run: a look at all lanes takes some, and programs of more tiles a second each
+_WORTH_CLASSES = 10.0  # seconds of a run: a look at all lanes takes some, and programs of more tiles a second each
 _TILES = ((16, 8), (128, 32), (512, 128))  # lanes of a sweep up to which a tile has so many
 _LARGEST_TILE = 256
 

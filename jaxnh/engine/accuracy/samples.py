@@ -20,7 +20,7 @@ from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError, LostLaneError
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, Section
-from jaxnh.systems.flow import NOT_FINITE, Parameters
+from jaxnh.systems.flow import NO_RETURN, Parameters
 from jaxnh.systems.state import State
 
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
@@ -145,7 +145,7 @@ def _stays_finite(maps: SampleMaps, samples: Samples, images: State, lost: Bool[
     if maps.scheme.smooth:
         return -1
     if maps.sectioned:
-        lost = lost & (images.reason == NOT_FINITE)
+        lost = lost & (images.reason != NO_RETURN)  # a lane that only the longer steps have lost is among them
     numbers = np.flatnonzero(lost)
     if not len(numbers):
         return -1
