@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import jax
 import numpy as np
@@ -94,7 +94,7 @@ def compare(name: str, lanes: int, repeats: int, *, spread: bool) -> Comparison:
     return Comparison(common.steps, mean_steps(own), look, *map(list, zip(*times, strict=True)))
 
 
-def _gather_none(name: str) -> None:
+def _gather_none(name: str) -> NoReturn:
     raise AssertionError(name)
 
 

@@ -221,13 +221,19 @@ def test_lanes_at_rest_have_accurate_tangents(lanes):
 # ---- runs
 
 
+def no_tiles(name):
+    raise AssertionError(name)
+
+
 def computed(experiment, plan, lanes, pieces=None):
     """The Poincaré map of a sweep by a plan, its lanes in order."""
     job = planning.job_of(experiment, experiment.axes, plan, {}, experiment.requested(), {}, LANES)
     [whole] = job.cutting.pieces()
     ends = pieces or [(0, LANES)]
     parts = [whole._replace(begin=(first,), end=(end,)) for first, end in ends]
-    done = [compute(experiment, experiment.axes, experiment.requested(), job, [part], lanes, None)[0] for part in parts]
+    done = [
+        compute(experiment, experiment.axes, experiment.requested(), job, [part], lanes, no_tiles)[0] for part in parts
+    ]
     return np.concatenate([part.groups["poincare"]["x"].values for part in done])
 
 
