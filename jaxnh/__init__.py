@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import PoincareOptions as Poincare
     from jaxnh.analyses.options import PortraitOptions as Portrait
     from jaxnh.analyses.options import ReversalOptions as Reversal
+    from jaxnh.analyses.options import RotationOptions as Rotation
     from jaxnh.analyses.options import TransientsOptions as Transients
     from jaxnh.analyses.options import VerdictOptions as Verdict
     from jaxnh.analyses.options import WindowsOptions as Windows
@@ -121,6 +122,7 @@ __all__ = [
     "Portrait",
     "ResultError",
     "Reversal",
+    "Rotation",
     "RunError",
     "Session",
     "Stopped",

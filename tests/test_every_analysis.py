@@ -57,6 +57,7 @@ OPTIONS = {
         "max_periods": 16,
         "transient": 1,
     },
+    "rotation": {"transient": 64, "periods": 128},
 }
 
 
@@ -214,6 +215,20 @@ def words(*expected):
     def check(data, _):
         names = data["kind"].attrs["flag_meanings"].split()
         assert {names[k] for k in lanes_of(data, "kind")[0]} <= set(expected)
+
+    return check
+
+
+def rotation(expected=None):
+    """Locked with the period of the orbit as denominator, about the mean of its points; a single point has no angle."""
+
+    def check(data, _):
+        kind, denominator, numerator, value, values = lanes_of(data, "kind", "denominator", "numerator", "rotation")
+        period = np.ones(len(kind), int) if expected is None else np.broadcast_to(expected(values), kind.shape)
+        names = np.array(data["kind"].attrs["flag_meanings"].split())
+        assert names[kind].tolist() == np.where(period > 1, "locked", "no_rotation").tolist()
+        assert denominator.tolist() == np.where(period > 1, period, 0).tolist()
+        assert np.all(np.abs(value - numerator / np.maximum(denominator, 1))[period > 1] < CLOSE)
 
     return check
 
@@ -409,6 +424,7 @@ MOEBIUS = {
     "reversal": NO_REVERSAL,
     "orbits": orbit_numbers(lambda values: (1, beyond(values) > 0)),
     "transients": nothing_leaves,
+    "rotation": rotation(moebius_periods),
 }
 IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
@@ -457,6 +473,7 @@ def particle(names, rates=paper_equations.at_speed):
         "reversal": repellers("dissipative"),
         "orbits": orbits_beside(lambda values: (1, values["b"] < first_doubling())),
         "transients": nothing_leaves,
+        "rotation": rotation(lambda values: np.where(values["b"] > first_doubling(), 1, 2)),
     }
 
 
@@ -523,6 +540,7 @@ KINDS = {
         | {
             "basins": one_attractor,
             "period": periods(lambda values: 2),
+            "rotation": rotation(lambda values: 2),
             "lyapunov": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
             "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
             "transients": "random starts and the axis u of start states exclude each other",
@@ -581,6 +599,7 @@ KINDS = {
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
             "transients": nothing_leaves,
+            "rotation": rotation(),
         },
         constrained_oscillators.SLIDE,
         starts_between("x", -0.5, 0.5),
@@ -611,6 +630,7 @@ KINDS = {
             "reversal": "no reversal is known of quasi-velocities",
             "orbits": orbit_numbers(lambda values: (1, 0 * values["damping"])),
             "transients": nothing_leaves,
+            "rotation": rotation(),
         },
         constrained_oscillators.NEEDLE,
         starts_between("w", -0.1, 0.1),
@@ -644,6 +664,7 @@ KINDS = {
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
             "transients": nothing_leaves,
+            "rotation": rotation(),
         },
         constrained_oscillators.CYCLE,
         {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}}
@@ -670,6 +691,7 @@ KINDS = {
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
             "transients": nothing_leaves,
+            "rotation": rotation(),
         },
         options=starts_between("x1", -0.2, 0.2),
     ),
@@ -696,6 +718,7 @@ KINDS = {
             "reversal": repellers("conservative", "undecided"),
             "orbits": orbits_beside(lambda values: (0, 0 * values["b"])),
             "transients": nothing_leaves,
+            "rotation": words("unconverged", "no_rotation", "unlocked"),
         },
         options={"doubling": {"levels": 1, "search": False}} | starts_between("x1", 0.0, 0.2),
     ),

@@ -9,6 +9,7 @@ from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.orbits import orbits
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.reversal import reversal
+from jaxnh.analyses.rotation import rotation
 from jaxnh.analyses.trajectories import diagram, poincare, portrait
 from jaxnh.analyses.transients import transients
 from jaxnh.analyses.windows import windows
@@ -29,6 +30,7 @@ _MODULES = (
     reversal,
     orbits,
     transients,
+    rotation,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}

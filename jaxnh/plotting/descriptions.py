@@ -111,6 +111,10 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("repeller_exponents",),
         lambda _: _Description("curves", ("distance", "overlap"), (), "distance and overlap", "0 1"),
     ),
+    "rotation": (
+        ("rotation", "denominator"),
+        lambda _: _Description("curves", ("rotation",), (), "rotation number", "none"),
+    ),
     "lyapunov": (("exponents",), _lyapunov),
     "chaos01": (("k_median",), lambda _: _Description("curves", ("k_median",), (), "0–1 test, $K$", "0 1")),
     "verdict": (("recurrence_lag",), lambda _: _Description("flags", ("kind",), label="verdict")),

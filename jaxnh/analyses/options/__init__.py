@@ -6,6 +6,7 @@ from jaxnh.analyses.options.chaos import (
     Chaos01Options,
     LyapunovOptions,
     ReversalOptions,
+    RotationOptions,
     TransientsOptions,
     VerdictOptions,
 )
@@ -37,6 +38,7 @@ OPTIONS: dict[str, type[Options]] = {
         ReversalOptions,
         OrbitsOptions,
         TransientsOptions,
+        RotationOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

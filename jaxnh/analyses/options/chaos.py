@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -41,6 +41,21 @@ class VerdictOptions(Options):
         ge=0,
         description="Lanes that look chaotic or quasiperiodic are followed for so many times as long; 0: chaotic ones"
         " are not, others once",
+    )
+
+
+class RotationOptions(Options):
+    """Options of `rotation`."""
+
+    transient: int = Field(default=256, ge=1, description="Periods, or crossings, before the average begins")
+    periods: int = Field(default=2048, ge=128, description="Periods averaged over")
+    max_denominator: int = Field(default=64, ge=1, le=1024, description="Largest denominator that is looked for")
+    plane: Annotated[tuple[str, str], Field(strict=False)] | None = Field(
+        default=None,
+        description="Coordinates of the plane in which the angle is taken; by default an angle of the system",
+    )
+    centre: Side | None = Field(
+        default=None, description="Values of the two coordinates about which the angle is taken; by default their means"
     )
 
 

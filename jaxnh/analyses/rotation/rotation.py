@@ -1,0 +1,232 @@
+"""Rotation numbers: turns a period, crossing or iterate, with errors, and whether they are fractions.
+
+The angle is a coordinate that is one and keeps whole turns, the first such; else that of the points of a plane about a
+centre, by default their mean. Of a coordinate the advance is known with its whole turns. About a centre it is known
+up to whole turns where the points keep their cyclic order, as on an invariant curve that goes round the centre; the
+rotation number is then in [0, 1).
+
+The rule, of N advances whose average is ρ with the bar ε, and of which the averages of the halves differ by δ:
+
+- unconverged: δ > N^(-3/2). A weighted average of quasiperiodic motion converges faster than any power of N, one of
+  chaotic motion as N^(-1/2) (Sander and Meiss, Physica D 411 (2020) 132569), which comes so near by chance once in N
+  lanes. So does a torus that breaks down.
+- no_rotation: the points are a single one, come to the centre, or do not keep their cyclic order about it.
+- locked: ρ is a fraction within ε, with a denominator up to Q. Unlocked: no such fraction.
+- undecided: ε > 1/(2 Q²), so that more than one fraction may be within it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float, Int
+
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    OptionError,
+    Setting,
+    Table,
+    as_variable,
+    flag,
+    number_variable,
+    variable,
+)
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
+from jaxnh.analyses.options.chaos import RotationOptions
+from jaxnh.analyses.price import Price, map_alone
+from jaxnh.analyses.rotation.averages import Average, birkhoff_average, cyclic_advances, least_fraction
+from jaxnh.analyses.section_points import states_after
+from jaxnh.analyses.trajectories.poincare import recording_program
+from jaxnh.analyses.trajectories.states import section_attrs
+from jaxnh.maps.section import outputs, plot_plane, reports
+from jaxnh.systems.state import State
+
+KINDS = ("locked", "unlocked", "unconverged", "no_rotation", "undecided", "failed")
+"""Meanings of the flags 0 to 5 of `kind`."""
+
+_TURN = 2 * np.pi
+_SMALL = 1e-6  # of the size of the points: a radius below it is that of a single point
+_INTEGER = 1e-9  # turns below a whole one, which is then taken as nought
+_CENTRE = 1e-3  # of the largest radius: a point nearer to the centre has no angle
+
+
+_ONE = {"periods": "period", "iterates": "iterate", "crossings": "crossing"}
+
+
+class Advances(NamedTuple):
+    """Angles that lanes advance by.
+
+    Attributes:
+        turns: in each iterate, (lanes, iterates).
+        rotates: whether there is an angle, and the points keep their order, (lanes,).
+        error: of an advance, by the steps and by rounding, (lanes,).
+        description: how the angle is taken.
+    """
+
+    turns: Float[np.ndarray, "lanes iterates"]
+    rotates: Bool[np.ndarray, " lanes"]
+    error: Float[np.ndarray, " lanes"]
+    description: str
+
+
+def periods(options: RotationOptions, lanes: int) -> float:
+    """Return the lane-periods of a run."""
+    return float(lanes * (options.transient + options.periods + 1))
+
+
+def check(options: RotationOptions, setting: Setting) -> None:
+    """Check that the plane is one of coordinates."""
+    names = setting.flow.coordinates
+    for name in options.plane or ():
+        if name not in names:
+            raise OptionError(f"{name} is no coordinate; coordinates are {', '.join(names)}", "plane")
+    if options.plane is None and options.centre is None and len(names) < 2 and not _lifted_angle(setting.flow.chart):
+        raise OptionError("a rotation number needs an angle, or a plane of two coordinates", "plane")
+
+
+def run(options: RotationOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
+    """Return the rotation number of every lane with its error, its kind and the fraction that it is locked to."""
+    with lanes.stage(f"rotation: {batch.count:,} lanes", periods(options, batch.count)):
+        states = states_after(batch, lanes, batch.start, options.transient, options.periods + 1)
+    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], states))["status"]
+    alive = np.asarray(ended.data) == 0
+    with np.errstate(invalid="ignore", over="ignore"):
+        advances = advances_of(options, batch, states)
+        average = birkhoff_average(advances.turns)
+    return _dataset(options, batch, advances, average, alive).assign(status=as_variable(LANE, ended))
+
+
+# ---- angles
+
+
+def advances_of(options: RotationOptions, batch: LaneBatch, states: State) -> Advances:
+    """Return the advances of successive states (lanes, iterates + 1), of an angle or about a centre."""
+    lifted = _lifted_angle(batch.chart)
+    if lifted and options.plane is None and options.centre is None:
+        turns = batch.chart.host_points(states)[..., lifted[0]] / _TURN
+        advance = np.diff(turns, axis=1)
+        rounding = np.finfo(float).eps * (1.0 + np.max(np.abs(turns), axis=1))
+        error = batch.error_estimate * np.maximum(np.max(np.abs(advance), axis=1), 1.0 / _TURN)
+        return Advances(
+            advance, np.ones(len(turns), bool), error + 4.0 * rounding, f"section coordinate {lifted[0] + 1}"
+        )
+    return _about_centre(options, batch, states)
+
+
+def _lifted_angle(chart: Any) -> list[int]:
+    """Return the numbers of the section coordinates that are angles and keep whole turns in a state."""
+    u = np.full(chart.dimension, 2.0 * _TURN)
+    kept = np.asarray([float(x) for x in chart.components(chart.state(u))])
+    return [i for i, angle in enumerate(chart.angles) if angle and abs(kept[i] - u[i]) < 1.0]
+
+
+def _about_centre(options: RotationOptions, batch: LaneBatch, states: State) -> Advances:
+    """Return the advances of the angle about a centre, in the plane asked for or in that of pictures."""
+    names = options.plane or plot_plane(batch.system)
+    columns = outputs(batch.flow, states, np.zeros(1))
+    x, y = (np.asarray(columns[name].data) for name in names)
+    at = (np.mean(x, axis=1), np.mean(y, axis=1)) if options.centre is None else options.centre
+    east, north = (u - np.reshape(c, (-1, 1)) for u, c in zip((x, y), at, strict=True))
+    # each coordinate in its own size, as a plane of a position and a velocity has no other measure
+    sizes = [np.max(np.abs(side), axis=1, keepdims=True) for side in (east, north)]
+    east, north = (side / np.where(size > 0, size, 1.0) for side, size in zip((east, north), sizes, strict=True))
+    radius = np.hypot(east, north)
+    least = np.min(radius, axis=1)
+    extent = np.max([np.max(np.abs(x), axis=1), np.max(np.abs(y), axis=1)], axis=0)
+    widest = np.max([size[:, 0] for size in sizes], axis=0)
+    turns, keeps_order = cyclic_advances(np.arctan2(north, east) / _TURN)
+    apart = (least > _CENTRE) & (widest > _SMALL * extent)
+    with np.errstate(divide="ignore"):
+        of_size = 1.0 if batch.sizes else 1.0 / np.maximum(widest, np.finfo(float).tiny)
+        error = (batch.error_estimate * of_size + 4.0 * np.finfo(float).eps * extent / widest) / (_TURN * least)
+    centre = "the mean of the points" if options.centre is None else f"{options.centre[0]:g}, {options.centre[1]:g}"
+    turns = turns - np.floor(np.mean(turns, axis=1, keepdims=True) + _INTEGER)
+    return Advances(turns, apart & keeps_order, error, f"of {names[0]}, {names[1]} about {centre}")
+
+
+# ---- results
+
+
+def judge(options: RotationOptions, advances: Advances, average: Average) -> tuple[Int[np.ndarray, " lanes"], ...]:
+    """Apply the rule of this module: numbers in `KINDS`, numerators and denominators."""
+    error = average.error + advances.error
+    numerator, denominator = least_fraction(average.value, error, options.max_denominator)
+    conditions = [
+        ~advances.rotates,
+        ~(average.difference <= advances.turns.shape[1] ** -1.5),
+        error > 0.5 / options.max_denominator**2,
+        denominator > 0,
+    ]
+    words = ("no_rotation", "unconverged", "undecided", "locked")
+    kind = np.select(conditions, [KINDS.index(word) for word in words], KINDS.index("unlocked"))
+    locked = kind == KINDS.index("locked")
+    return kind, np.where(locked, numerator, 0), np.where(locked, denominator, 0)
+
+
+def _dataset(
+    options: RotationOptions, batch: LaneBatch, advances: Advances, average: Average, alive: Bool[np.ndarray, " lanes"]
+) -> xr.Dataset:
+    kind, numerator, denominator = judge(options, advances, average)
+    kind = np.where(alive, kind, KINDS.index("failed"))
+    known = np.isin(kind, [KINDS.index(word) for word in ("locked", "unlocked", "undecided")])
+    numerator, denominator = (np.where(alive, number, 0) for number in (numerator, denominator))
+    value = np.where(known, average.value, np.nan)
+    error = np.where(known, average.error + advances.error, np.nan)
+    difference = np.where(alive & advances.rotates, average.difference, np.nan)
+    counted = {"counted_in": f"turns per {_ONE[iterate_units(batch.system)]}"}
+    searched = f"denominators 1 to {options.max_denominator} were searched"
+    variables = {
+        "rotation": variable(LANE, value, "rotation number", **counted),
+        "rotation_error": variable(LANE, error, "error of the rotation number", **counted),
+        "difference": variable(LANE, difference, "difference between the averages of the halves of the run", **counted),
+        "kind": flag(LANE, kind, "whether the rotation number is a fraction", KINDS, comment=searched),
+        "numerator": variable(LANE, numerator, "numerator of the fraction that the motion is locked to; 0 without one"),
+        "denominator": number_variable(LANE, denominator, "denominator of this fraction", ("none",), comment=searched),
+    }
+    attrs = {"angle": advances.description, "max_denominator": options.max_denominator, **section_attrs(batch)}
+    return xr.Dataset(variables, attrs=attrs)
+
+
+def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
+    """Return how many lanes are of each kind, their rotation numbers and the largest errors."""
+    kind, value, error = (data[name].to_numpy().ravel() for name in ("kind", "rotation", "rotation_error"))
+    rows = []
+    for number, word in enumerate(KINDS):
+        if (of_kind := kind == number).any():
+            numbers = value[of_kind & np.isfinite(value)]
+            extent = f"{numbers.min():.8g} to {numbers.max():.8g}" if numbers.size else "–"
+            largest = f"{np.max(error[of_kind]):.1e}" if numbers.size else "–"
+            rows.append((word.replace("_", " "), f"{np.count_nonzero(of_kind):,}", extent, largest))
+    heads = ("kind", "lanes", "rotation number", "largest error")
+    caption = f"angle: {data.attrs.get('angle', '')}; denominators up to {data.attrs.get('max_denominator', '')}"
+    return Table("Rotation numbers", heads, tuple(rows), caption, (0,))
+
+
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Return the denominator of lanes that are locked, and minus the kind of others."""
+    kind, denominator = data["kind"].to_numpy().astype(int), data["denominator"].to_numpy().astype(int)
+    return np.where(denominator > 0, denominator, -kind)
+
+
+def price(options: RotationOptions, batch: LaneBatch) -> Price:
+    """Return the price of keeping every strobe; averages on the host cost nothing beside it."""
+    return Price(recording_program(batch), map_alone(batch), "every strobe is kept")
+
+
+ANALYSIS = Analysis(
+    "rotation",
+    RotationOptions,
+    periods,
+    run,
+    classes=classes,
+    smooth=("rotation",),
+    check=check,
+    table=table,
+    price=price,
+    brief={"transient": 1, "periods": 128},
+)
+"""The entry of this analysis in the table."""

@@ -1,0 +1,165 @@
+"""Rotation numbers against closed forms: rigid turns, Moebius maps of the circle, Adler's equation, Arnold's tongues."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.analyses.rotation.averages import birkhoff_average, cyclic_advances, least_fraction
+from jaxnh.exceptions import InputError
+
+TURN = 2 * math.pi
+GOLDEN = (math.sqrt(5) - 1) / 2
+CRITICAL = 0.60666106347011  # where Arnold's map of K = 1 has the golden mean (Shenker, Physica D 5 (1982) 405)
+
+
+def kinds(data):
+    return jaxnh.labels(data["kind"]).to_numpy().ravel().tolist()
+
+
+def rigid(omega=GOLDEN):
+    return {"map": lambda y: (y[0] + TURN * omega,), "coordinates": ("angle",), "angles": ("angle",)}
+
+
+def ellipse(omega=GOLDEN):
+    """A turn on ellipses about (0.3, -0.2), one axis a hundred times the other."""
+
+    def image(s):
+        u, v = s[0] - 0.3, 100.0 * (s[1] + 0.2)
+        c, d = jnp.cos(TURN * omega), jnp.sin(TURN * omega)
+        return 0.3 + c * u - d * v, -0.2 + (d * u + c * v) / 100.0
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+def arnold(omega=0.5, k=1.0):
+    return {
+        "map": lambda y: (y[0] + TURN * omega - k * jnp.sin(y[0]),),
+        "coordinates": ("angle",),
+        "angles": ("angle",),
+    }
+
+
+def moebius(alpha=1.0, a=0.5):
+    """z -> e^(i alpha) (z + a)/(1 + a z) on the circle: cos(pi rho) = cos(alpha/2)/sqrt(1 - a^2), or locked to 0."""
+
+    def image(y):
+        (x,) = y
+        return (x + alpha - 2.0 * jnp.arctan2(a * jnp.sin(x), 1.0 + a * jnp.cos(x)),)
+
+    return {"map": image, "coordinates": ("angle",), "angles": ("angle",)}
+
+
+def adler(a=0.5):
+    return {
+        "rhs": lambda y, t: (1.0 - a * jnp.sin(y[0]),),
+        "coordinates": ("angle",),
+        "angles": ("angle",),
+        "period": 1.0,
+    }
+
+
+def standard(k=0.5):
+    def image(y):
+        momentum = y[1] + k * jnp.sin(y[0])
+        return y[0] + momentum, momentum
+
+    return {"map": image, "coordinates": ("angle", "momentum"), "angles": ("angle",)}
+
+
+@pytest.mark.parametrize("system", [rigid, ellipse])
+def test_linear_torus(system):
+    """An irrational turn to 1e-12, and a fraction as such, by an angle and about the mean of an ellipse's points."""
+    start = {"angle": 0.2} if system is rigid else {"x": 0.9, "y": -0.2}
+    data = jaxnh.Session(system, start=start).run(jaxnh.Rotation(), omega=np.array([GOLDEN, 2 / 7, 0.98]))
+    assert kinds(data) == ["unlocked", "locked", "locked"]
+    assert data["denominator"].to_numpy().tolist() == [0, 7, 50]
+    assert data["numerator"].to_numpy().tolist() == [0, 2, 49]
+    error = np.abs(data["rotation"].to_numpy() - [GOLDEN, 2 / 7, 0.98])
+    assert error.max() < 1e-12
+    assert np.all(error <= data["rotation_error"])
+
+
+def test_moebius_maps_of_the_circle():
+    """Of 400 maps with a rotation number in closed form the bar covers 95 of 100; locked lanes are those it says."""
+    alpha = np.linspace(0.02, math.pi, 400)
+    data = jaxnh.Session(moebius, start={"angle": 0.2}).run(jaxnh.Rotation(periods=1024), alpha=alpha)
+    cosine = np.cos(alpha / 2) / math.sqrt(0.75)
+    exact = np.arccos(np.minimum(cosine, 1.0)) / math.pi
+    words = np.array(kinds(data))
+    near = np.abs(cosine - 1.0) < 1e-3  # the passage of the ghost of the fold takes as long as half of a run
+    assert np.all(words[(cosine > 1) & ~near] == "locked")
+    assert np.all(data["denominator"].to_numpy()[(cosine > 1) & ~near] == 1)
+    known = np.isfinite(data["rotation"].to_numpy())
+    assert known[~near].mean() > 0.95
+    within = np.abs(data["rotation"] - exact).to_numpy() <= data["rotation_error"].to_numpy()
+    assert within[known].mean() >= 0.95
+
+
+def test_arnolds_staircase():
+    """At K = 1 a devil's staircase that never falls, the tongue of 0 to |Omega| = 1/(2 pi), and the golden mean."""
+    omega = np.append(np.linspace(0.0, 1.0, 201), [CRITICAL, (1 - 1e-5) / TURN, (1 + 1e-5) / TURN])
+    data = jaxnh.Session(arnold, start={"angle": 0.3}).run(jaxnh.Rotation(transient=4096, periods=8192), omega=omega)
+    value, error = data["rotation"].to_numpy(), data["rotation_error"].to_numpy()
+    steps = np.flatnonzero(np.isfinite(value[:201]))
+    assert len(steps) > 190
+    assert np.all(np.diff(value[steps]) >= -error[steps][1:] - error[steps][:-1])
+    assert abs(value[201] - GOLDEN) <= error[201] < 1e-5
+    denominator = data["denominator"].to_numpy()
+    assert np.all(denominator[:201][omega[:201] < 1 / TURN] == 1)
+    assert denominator[202] == 1
+    assert denominator[203] != 1
+    assert denominator[100] == 2
+
+
+def test_chaos_has_no_rotation_number():
+    """A torus of the standard map has one, the chaotic sea has not: its average converges no better than a plain one."""
+    session = jaxnh.Session(standard, start={"angle": 0.3, "momentum": TURN * GOLDEN})
+    data = session.run(jaxnh.Rotation(periods=4096), k=np.array([0.5, 5.0, 7.0]))
+    assert kinds(data) == ["unlocked", "unconverged", "unconverged"]
+    assert np.isnan(data["rotation"].to_numpy()).tolist() == [False, True, True]
+    assert np.all(data["difference"].to_numpy()[1:] > 1e-4)
+
+
+def test_adlers_equation():
+    """Turns per unit of time sqrt(1 - a^2)/(2 pi), within the bar that the steps have their part in; locked from a = 1."""
+    data = jaxnh.Session(adler, start={"angle": 0.1}, target=1e-9).run(
+        jaxnh.Rotation(periods=1024), a=np.array([0.0, 0.3, 0.8, 1.2])
+    )
+    exact = np.sqrt(1 - np.array([0.0, 0.3, 0.8]) ** 2) / TURN
+    value, error = data["rotation"].to_numpy(), data["rotation_error"].to_numpy()
+    assert np.all(np.abs(value[:3] - exact) <= error[:3])
+    assert np.all(error[:3] < 1e-7)
+    assert data["denominator"].to_numpy()[3] == 1
+
+
+def test_points_out_of_their_cyclic_order():
+    """A map that folds the circle keeps no order; two points that change places turn by a half, however near they are."""
+    n = np.arange(200)
+    turns = np.stack([(GOLDEN * n) % 1.0, np.abs(np.sin(n**2)), 0.05 * (n % 2)])
+    advances, keeps_order = cyclic_advances(turns)
+    assert keeps_order.tolist() == [True, False, True]
+    assert abs(birkhoff_average(advances[[0]]).value[0] - GOLDEN) < 1e-12
+    assert abs(advances[2].mean() - 0.5) < 0.01
+
+
+def test_least_fraction():
+    """Of all fractions within the bar that of least denominator; none up to the largest, none of what is not finite."""
+    p, q = least_fraction(np.array([0.334, 0.334, GOLDEN, np.nan, -0.5]), np.array([1e-3, 1e-9, 1e-9, 1.0, 1e-9]), 50)
+    assert (p.tolist(), q.tolist()) == ([1, 0, 0, 0, -1], [3, 0, 0, 0, 2])
+
+
+def test_refusals():
+    """A coordinate that there is none of, and a system of one coordinate that is no angle."""
+    with pytest.raises(InputError, match="z is no coordinate; coordinates are x, y"):
+        jaxnh.Session(ellipse).run(jaxnh.Rotation(plane=("x", "z")), omega=np.array([0.1]))
+
+    def logistic(r=3.2):
+        return {"map": lambda y: (r * y[0] * (1 - y[0]),), "coordinates": "x"}
+
+    with pytest.raises(InputError, match="needs an angle, or a plane of two coordinates"):
+        jaxnh.Session(logistic).run(jaxnh.Rotation(), r=np.array([3.2]))
