@@ -55,8 +55,13 @@ def moebius(alpha=1.0, a=0.5):
 
 
 def adler(a=0.5):
+    """Adler's equation x' = 1 - a sin x of an angle x + 0.3 sin(2 pi t), which has its rotation number and a clock."""
+
+    def rhs(y, t):
+        return (1.0 - a * jnp.sin(y[0] - 0.3 * jnp.sin(2 * jnp.pi * t)) + 0.6 * jnp.pi * jnp.cos(2 * jnp.pi * t),)
+
     return {
-        "rhs": lambda y, t: (1.0 - a * jnp.sin(y[0]),),
+        "rhs": rhs,
         "coordinates": ("angle",),
         "angles": ("angle",),
         "period": 1.0,
