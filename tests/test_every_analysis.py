@@ -226,7 +226,7 @@ def rotation(expected=None):
         kind, denominator, numerator, value, values = lanes_of(data, "kind", "denominator", "numerator", "rotation")
         period = np.ones(len(kind), int) if expected is None else np.broadcast_to(expected(values), kind.shape)
         names = np.array(data["kind"].attrs["flag_meanings"].split())
-        assert names[kind].tolist() == np.where(period > 1, "locked", "no_rotation").tolist()
+        assert names[kind].tolist() == np.where(period > 1, "locked", "no_rotation").tolist(), values
         assert denominator.tolist() == np.where(period > 1, period, 0).tolist()
         assert np.all(np.abs(value - numerator / np.maximum(denominator, 1))[period > 1] < CLOSE)
 

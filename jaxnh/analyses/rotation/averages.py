@@ -12,7 +12,7 @@ from jaxnh.analyses.smooth_window import window_weights
 _ORDER = 1e-3  # turns that points may be out of their cyclic order by, as points that approach a curve are
 
 
-class Average(NamedTuple):
+class BirkhoffAverage(NamedTuple):
     """A weighted Birkhoff average.
 
     Attributes:
@@ -26,7 +26,7 @@ class Average(NamedTuple):
     error: Float[np.ndarray, " lanes"]
 
 
-def birkhoff_average(values: Float[np.ndarray, "lanes points"]) -> Average:
+def birkhoff_average(values: Float[np.ndarray, "lanes points"]) -> BirkhoffAverage:
     """Return the average of values with the weight exp(-1/(x(1-x))), x the place in the run.
 
     On quasiperiodic motion its error falls faster than any power of the number of points (Das, Saiki, Sander and
@@ -36,7 +36,7 @@ def birkhoff_average(values: Float[np.ndarray, "lanes points"]) -> Average:
     first, second = (_weighted(part) for part in (values[:, :half], values[:, -half:]))
     whole = _weighted(values)
     difference = np.abs(first - second)
-    return Average(whole, difference, np.maximum(difference, np.abs(whole - second)))
+    return BirkhoffAverage(whole, difference, np.maximum(difference, np.abs(whole - second)))
 
 
 def _weighted(values: Float[np.ndarray, "lanes points"]) -> Float[np.ndarray, " lanes"]:

@@ -38,7 +38,7 @@ from jaxnh.analyses.base import (
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.chaos import RotationOptions
 from jaxnh.analyses.price import Price, map_alone
-from jaxnh.analyses.rotation.averages import Average, birkhoff_average, cyclic_advances, least_fraction
+from jaxnh.analyses.rotation.averages import BirkhoffAverage, birkhoff_average, cyclic_advances, least_fraction
 from jaxnh.analyses.section_points import states_after
 from jaxnh.analyses.trajectories.poincare import recording_program
 from jaxnh.analyses.trajectories.states import section_attrs
@@ -49,7 +49,8 @@ KINDS = ("locked", "unlocked", "unconverged", "no_rotation", "undecided", "faile
 """Meanings of the flags 0 to 5 of `kind`."""
 
 _TURN = 2 * np.pi
-_SMALL = 1e-6  # of the size of the points: a radius below it is that of a single point
+_SMALL = 1e-6  # of the size of the points, the start among them: what comes to less than that is a single point
+_NOTHING = 1e-12  # of the size of the other coordinate: what is less is rounding
 _INTEGER = 1e-9  # turns below a whole one, which is then taken as nought
 _CENTRE = 1e-3  # of the largest radius: a point nearer to the centre has no angle
 
@@ -127,22 +128,24 @@ def _lifted_angle(chart: Any) -> list[int]:
 def _about_centre(options: RotationOptions, batch: LaneBatch, states: State) -> Advances:
     """Return the advances of the angle about a centre, in the plane asked for or in that of pictures."""
     names = options.plane or plot_plane(batch.system)
-    columns = outputs(batch.flow, states, np.zeros(1))
-    x, y = (np.asarray(columns[name].data) for name in names)
-    at = (np.mean(x, axis=1), np.mean(y, axis=1)) if options.centre is None else options.centre
-    east, north = (u - np.reshape(c, (-1, 1)) for u, c in zip((x, y), at, strict=True))
-    # each coordinate in its own size, as a plane of a position and a velocity has no other measure
-    sizes = [np.max(np.abs(side), axis=1, keepdims=True) for side in (east, north)]
-    east, north = (side / np.where(size > 0, size, 1.0) for side, size in zip((east, north), sizes, strict=True))
-    radius = np.hypot(east, north)
-    least = np.min(radius, axis=1)
-    extent = np.max([np.max(np.abs(x), axis=1), np.max(np.abs(y), axis=1)], axis=0)
-    widest = np.max([size[:, 0] for size in sizes], axis=0)
+    points, begin = (outputs(batch.flow, y, np.zeros(1)) for y in (states, batch.start))
+    x = np.stack([np.asarray(points[name].data) for name in names])  # (2, lanes, points)
+    extent = np.maximum(np.max(np.abs(x), axis=2), [np.abs(np.ravel(begin[name].data)) for name in names])
+    at = np.mean(x, axis=2) if options.centre is None else np.reshape(options.centre, (2, 1))
+    side = x - at[..., None]
+    # each coordinate in its own size, as a plane of a position and a velocity has no other measure; one that has come
+    # to a value, or to the rounding of the other, has none
+    width = np.max(np.abs(side), axis=2)
+    size = np.maximum(np.maximum(width, _SMALL * extent), _NOTHING * np.max(extent, axis=0))
+    east, north = side / np.where(size > 0, size, 1.0)[..., None]
+    least = np.min(np.hypot(east, north), axis=1)
+    last = np.ptp(x[..., -(x.shape[2] // 4) :], axis=2)
     turns, keeps_order = cyclic_advances(np.arctan2(north, east) / _TURN)
-    apart = (least > _CENTRE) & (widest > _SMALL * extent)
+    apart = (least > _CENTRE) & np.any(last > _SMALL * extent, axis=0)
     with np.errstate(divide="ignore"):
-        of_size = 1.0 if batch.sizes else 1.0 / np.maximum(widest, np.finfo(float).tiny)
-        error = (batch.error_estimate * of_size + 4.0 * np.finfo(float).eps * extent / widest) / (_TURN * least)
+        of_steps = batch.error_estimate * (1.0 if batch.sizes else 1.0 / np.max(width, axis=0))
+        of_rounding = 4.0 * np.finfo(float).eps * np.max(extent / size, axis=0)
+        error = (of_steps + of_rounding) / (_TURN * least)
     centre = "the mean of the points" if options.centre is None else f"{options.centre[0]:g}, {options.centre[1]:g}"
     turns = turns - np.floor(np.mean(turns, axis=1, keepdims=True) + _INTEGER)
     return Advances(turns, apart & keeps_order, error, f"of {names[0]}, {names[1]} about {centre}")
@@ -151,7 +154,9 @@ def _about_centre(options: RotationOptions, batch: LaneBatch, states: State) -> 
 # ---- results
 
 
-def judge(options: RotationOptions, advances: Advances, average: Average) -> tuple[Int[np.ndarray, " lanes"], ...]:
+def judge(
+    options: RotationOptions, advances: Advances, average: BirkhoffAverage
+) -> tuple[Int[np.ndarray, " lanes"], ...]:
     """Apply the rule of this module: numbers in `KINDS`, numerators and denominators."""
     error = average.error + advances.error
     numerator, denominator = least_fraction(average.value, error, options.max_denominator)
@@ -168,7 +173,11 @@ def judge(options: RotationOptions, advances: Advances, average: Average) -> tup
 
 
 def _dataset(
-    options: RotationOptions, batch: LaneBatch, advances: Advances, average: Average, alive: Bool[np.ndarray, " lanes"]
+    options: RotationOptions,
+    batch: LaneBatch,
+    advances: Advances,
+    average: BirkhoffAverage,
+    alive: Bool[np.ndarray, " lanes"],
 ) -> xr.Dataset:
     kind, numerator, denominator = judge(options, advances, average)
     kind = np.where(alive, kind, KINDS.index("failed"))
