@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import BasinsOptions as Basins
     from jaxnh.analyses.options import BranchesOptions as Branches
     from jaxnh.analyses.options import Chaos01Options as Chaos01
+    from jaxnh.analyses.options import CovariantOptions as Covariant
     from jaxnh.analyses.options import CurvesOptions as Curves
     from jaxnh.analyses.options import DiagramOptions as Diagram
     from jaxnh.analyses.options import DoublingOptions as Doubling
@@ -102,6 +103,7 @@ __all__ = [
     "BusyError",
     "Chaos01",
     "ConfigError",
+    "Covariant",
     "Curves",
     "DamagedError",
     "Diagram",

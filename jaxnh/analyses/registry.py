@@ -5,6 +5,7 @@ from jaxnh.analyses.base import Analysis
 from jaxnh.analyses.basins import basins
 from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.continuation import branches, curves
+from jaxnh.analyses.covariant import covariant
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.orbits import orbits
 from jaxnh.analyses.periodic import period
@@ -29,6 +30,7 @@ _MODULES = (
     windows,
     reversal,
     orbits,
+    covariant,
     transients,
     rotation,
 )

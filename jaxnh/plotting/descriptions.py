@@ -103,6 +103,10 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         lambda _: _Description("curves", ("number",), ("n",), "periodic orbits", "none"),
     ),
     "orbits": (("met",), None),
+    "covariant": (
+        ("angle_min", "tangency"),
+        lambda _: _Description("curves", ("angle_min",), ("split",), "smallest angle", "0"),
+    ),
     "transients": (
         ("escape_rate",),
         lambda _: _Description("curves", ("escape_rate",), (), "escape rate", "0"),

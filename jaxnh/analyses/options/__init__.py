@@ -4,6 +4,7 @@ from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.options.basins import BasinsOptions
 from jaxnh.analyses.options.chaos import (
     Chaos01Options,
+    CovariantOptions,
     LyapunovOptions,
     ReversalOptions,
     RotationOptions,
@@ -37,6 +38,7 @@ OPTIONS: dict[str, type[Options]] = {
         WindowsOptions,
         ReversalOptions,
         OrbitsOptions,
+        CovariantOptions,
         TransientsOptions,
         RotationOptions,
     )

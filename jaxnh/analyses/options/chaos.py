@@ -91,3 +91,10 @@ class TransientsOptions(Options):
         if self.transient >= self.max_periods:
             raise rule(f"must be less than max_periods, {self.max_periods}", "transient", "max_periods")
         return self
+
+
+class CovariantOptions(Options):
+    """Options of `covariant`."""
+
+    transient: int = Field(default=512, ge=0, description="Periods, or crossings, before vectors are looked for")
+    strobes: int = Field(default=2048, ge=256, description="Points that angles and exponents are taken from")

@@ -1,0 +1,221 @@
+"""Covariant Lyapunov vectors of the return map of every lane: exponents, angles, and whether the motion is hyperbolic.
+
+A run follows the lanes, takes the derivative of the map at each point, and sweeps forward and backward over these
+matrices (`vectors`). On a section the direction along the flow is none of the vectors; in time alone it is, and its
+exponent is zero. Vectors are measured in sizes of the motion.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float, Int
+
+from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, Table, as_variable, flag, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
+from jaxnh.analyses.covariant.hyperbolicity import KINDS, SPLITS, judge, judge_splits
+from jaxnh.analyses.covariant.vectors import HIDDEN, CovariantVectors, covariant_vectors, smallest_angles
+from jaxnh.analyses.exponents.errors import Average, average_blocks
+from jaxnh.analyses.options.base import BLOCKS
+from jaxnh.analyses.options.chaos import CovariantOptions
+from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
+from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.section_points import points_at
+from jaxnh.analyses.trajectories.states import check_transient, section_attrs, settle_lanes
+from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.section import reports
+from jaxnh.systems.state import State, is_finite
+
+_TANGENTS = 3  # of most maps, for the expected work
+_SETTLING = 8  # part of the strobes that either sweep takes more
+_ROOM = 1 << 25  # numbers of frames and triangles in memory at once
+_BINS = 36
+_SHARES = (0.25, 0.5)
+_AT_REST = 1e-9  # standard deviation, in units of the largest coordinate: of rounding
+_COMMENT = "not a number where every return contracts by more than a double can tell"
+
+
+class Motions(NamedTuple):
+    """Motions of lanes, point by point.
+
+    Attributes:
+        states: after each return, (lanes, points).
+        u: section coordinates, (lanes, points, d).
+        matrices: derivatives of the map there, in sizes of the motion, (lanes, points, d, d).
+        sound: whether all of it is finite and no matrix is zero, (lanes,).
+    """
+
+    states: State
+    u: Float[np.ndarray, "lanes points d"]
+    matrices: Float[np.ndarray, "lanes points d d"]
+    sound: Bool[np.ndarray, " lanes"]
+
+
+def periods(options: CovariantOptions, lanes: int) -> float:
+    """Return the lane-periods of a run; a period with tangents costs one and about two more for each."""
+    return float(lanes * (options.transient + _points(options) * (2 + 2 * _TANGENTS)))
+
+
+def check(options: CovariantOptions, setting: Setting) -> None:
+    """Check that there are directions to be between, and that the first strobe is on the section."""
+    if setting.flow.exponents - int(setting.autonomous) < 2:
+        raise OptionError("angles are between directions of the map, and it has one alone; take lyapunov")
+    check_transient(options.transient, setting)
+
+
+def run(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
+    """Return exponents, angles and the verdict of every lane, from as many points as options say."""
+    d = batch.chart.dimension
+    at_once = max(1, _ROOM // (3 * _points(options) * d * d))
+    parts = []
+    with lanes.stage(f"covariant: {batch.count:,} lanes", periods(options, batch.count)):
+        for first in range(0, batch.count, at_once):
+            parts.append(_variables(options, batch.take(slice(first, first + at_once)), lanes))
+    joined = {
+        name: (dims, np.concatenate([part[name][1] for part in parts]) if dims[0] == LANE else values, attrs)
+        for name, (dims, values, attrs) in parts[0].items()
+    }
+    return xr.Dataset(joined, attrs={"strobes": options.strobes, **section_attrs(batch)})
+
+
+def _points(options: CovariantOptions) -> int:
+    return options.strobes + 2 * (options.strobes // _SETTLING)
+
+
+def _motions(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> Motions:
+    strobe, (start, p), count = batch.strobe(), batch.lanes, _points(options)
+    start = settle_lanes(lanes, strobe, options.transient, start, p, ORBIT_TILE)
+    states = lanes.record(strobe, count, (start, p), tile=ORBIT_TILE)
+    u = points_at(batch, lanes, states, ORBIT_TILE)
+    d = u.shape[-1]
+    each = {name: np.repeat(values, count) for name, values in p.items()}
+    ones = np.ones(len(u) * count, np.int32)
+    matrices = lanes(derivatives, (strobe,), (ones, u.reshape(-1, d), each), tile=ORBIT_TILE).monodromy
+    matrices = np.asarray(matrices).reshape(*u.shape, d)
+    sound = np.isfinite(matrices).all(axis=(1, 2, 3)) & is_finite(jax.tree.map(lambda leaf: leaf[:, -1], states))
+    size = _sizes(u, np.array(batch.chart.angles), sound)
+    matrices = matrices * (size[:, None, None, :] / size[:, None, :, None])
+    sound &= np.min(np.max(np.abs(matrices), axis=(2, 3)), axis=1) > 0.0
+    matrices[~sound] = np.eye(d)
+    return Motions(states, u, matrices, sound)
+
+
+def _sizes(
+    u: Float[np.ndarray, "lanes points d"], turns: Bool[np.ndarray, " d"], sound: Bool[np.ndarray, " lanes"]
+) -> Float[np.ndarray, "lanes d"]:
+    """Return the standard deviation of each coordinate, the largest where one rests, and 1 of an angle."""
+    u = np.where(sound[:, None, None], u, 0.0)
+    size = np.std(u, axis=1)
+    resting = size <= _AT_REST * np.max(np.abs(u), axis=(1, 2))[:, None]
+    largest = np.max(np.where(turns | resting, 0.0, size), axis=1, keepdims=True)
+    return np.where(turns, 1.0, np.where(resting, np.where(largest > 0.0, largest, 1.0), size))
+
+
+def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, Entry]:
+    motions = _motions(options, batch, lanes)
+    settling = options.strobes // _SETTLING
+    neutral = int(batch.flow.autonomous and batch.flow is batch.system)
+    k = batch.flow.exponents - int(batch.flow.autonomous) + neutral
+    vectors = covariant_vectors(motions.matrices, settling, k)
+    angles = smallest_angles(vectors)
+    each = _exponents(batch, motions, vectors, settling)
+    hidden = np.all(vectors.rounding >= HIDDEN, axis=1)
+    sound = motions.sound
+    splits = judge_splits(angles)
+    kind = judge(splits, each.mean[:, :k], each.error[:, :k], each.mean[:, k:], each.error[:, k:], neutral)
+    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], motions.states))["status"]
+    density = _densities(angles)
+    values, errors = (np.where(hidden, np.nan, leaf[:, :k]) for leaf in each)
+    angles[~sound], splits[~sound], density[~sound] = np.nan, SPLITS.index("undecided"), np.nan
+    shares = [np.min(angles[..., : int(share * angles.shape[-1])], axis=-1) for share in _SHARES]
+    rate, between = rate_attrs(batch.flow), (LANE, "split")
+    words = "smallest angle between the first vectors and the others"
+    edges = np.linspace(0.0, np.pi / 2, _BINS + 1)
+    return {
+        "exponent": variable("exponent", np.arange(1, k + 1), "number of the vector, largest exponent first"),
+        "split": variable("split", np.arange(1, k), "number of vectors on the faster side of the angle"),
+        "angle": variable("angle", 0.5 * (edges[1:] + edges[:-1]), "middle of a bin of angles", "rad"),
+        "kind": flag(LANE, kind, "hyperbolicity of the motion", KINDS),
+        "tangency": flag(between, splits, "whether the angle is bounded away from zero", SPLITS),
+        "exponents": variable(
+            (LANE, "exponent"), values, "Lyapunov exponents of the vectors", **rate, comment=_COMMENT
+        ),
+        "exponents_error": variable((LANE, "exponent"), errors, "error of the exponents at 95 %", **rate),
+        "angle_min": variable(between, np.min(angles, axis=-1), words, "rad"),
+        "angle_min_half": variable(between, shares[1], f"{words}, of the first half of the points", "rad"),
+        "angle_min_quarter": variable(between, shares[0], f"{words}, of the first quarter of the points", "rad"),
+        "angle_median": variable(between, np.median(angles, axis=-1), "median of the angle", "rad"),
+        "angle_density": variable((LANE, "split", "angle"), density, "density of the angle", "1/rad"),
+        "status": as_variable(LANE, ended),
+    }
+
+
+def _densities(angles: Float[np.ndarray, "lanes splits points"]) -> Float[np.ndarray, "lanes splits bins"]:
+    """Return the density of each angle over even bins from 0 to π/2."""
+    places = np.minimum((angles / (0.5 * np.pi) * _BINS).astype(int), _BINS - 1)
+    counts = np.stack([np.sum(places == k, axis=-1) for k in range(_BINS)], axis=-1)
+    return counts * (_BINS / (0.5 * np.pi * angles.shape[-1]))
+
+
+def _exponents(batch: LaneBatch, motions: Motions, vectors: CovariantVectors, settling: int) -> Average:
+    """Return exponents of the vectors and the sums of the first ones, (lanes, 2 k), a unit of time."""
+    growth, rounding = (np.concatenate([x, np.cumsum(x, axis=2)], axis=2) for x in (vectors.growth, vectors.rounding))
+    count = growth.shape[1]
+    if batch.flow is batch.system:
+        time = np.full((len(growth), count), float(batch.flow.period))
+    else:  # a return takes a time of its own
+        time = np.diff(motions.states.t, axis=1)[:, settling : settling + count]
+    rates = np.sum(growth, axis=1) / np.sum(time, axis=1)[:, None]
+    missed = (growth - rates[:, None] * time[:, :, None]) / np.mean(time, axis=1)[:, None, None]
+    blocks = missed[:, : count // BLOCKS * BLOCKS].reshape(len(growth), BLOCKS, -1, growth.shape[2]).mean(axis=2)
+    # Vectors that turn, as on a focus, leave a sum that strays; and lengths in other units, of a factor e, one of 1.
+    strayed = np.maximum(np.ptp(np.cumsum(missed, axis=1), axis=1), 1.0 / np.mean(time, axis=1)[:, None]) / count
+    error = np.maximum(average_blocks(blocks).error, strayed) + np.sum(rounding, axis=1) / np.sum(time, axis=1)[:, None]
+    rates[~motions.sound], error[~motions.sound] = np.nan, np.nan
+    return Average(rates, error)
+
+
+def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
+    """Return how many lanes are of each kind, with the ranges of their largest exponents and smallest angles."""
+    kind, largest = (data[name].to_numpy() for name in ("kind", "exponents"))
+    smallest = data["angle_min"].transpose(..., "split").to_numpy().min(axis=-1).ravel()
+    largest, kind = data["exponents"].isel(exponent=0).to_numpy().ravel(), kind.ravel()
+    rows = tuple(
+        (word, f"{np.count_nonzero(kind == k):,}", _range(largest[kind == k]), _range(smallest[kind == k]))
+        for k, word in enumerate(KINDS)
+        if np.any(kind == k)
+    )
+    heads = ("kind", "lanes", "largest exponent", "smallest angle (rad)")
+    return Table("Covariant Lyapunov vectors", heads, rows, f"{data.attrs.get('strobes', '')} points a lane", (0,))
+
+
+def _range(values: np.ndarray) -> str:
+    finite = values[np.isfinite(values)]
+    return f"{finite.min():.3g} to {finite.max():.3g}" if finite.size else "–"
+
+
+def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Return the kind."""
+    return data["kind"].to_numpy().astype(int)
+
+
+def price(options: CovariantOptions, batch: LaneBatch) -> Price:
+    """Return the price of the derivative of the map at each point; both sweeps are linear algebra on the host."""
+    return newton_price(batch, ORBIT_TILE)
+
+
+ANALYSIS = Analysis(
+    "covariant",
+    CovariantOptions,
+    periods,
+    run,
+    classes=classes,
+    check=check,
+    table=table,
+    price=price,
+    brief={"transient": 1, "strobes": 256},
+)
+"""The entry of this analysis in the table."""

@@ -1,0 +1,77 @@
+"""Verdicts on hyperbolicity, from angles between subspaces of covariant vectors along motions and their exponents.
+
+Where stable and unstable subspaces are tangent somewhere on an attractor of a smooth map, motions come near the
+tangency, and their angles have a density that does not vanish at zero (Kuptsov, Phys. Rev. E 85 (2012) 015203). Below
+an eighth of the angle that one in twenty fall short of, an eighth of these are expected then. None at all, of many
+expected, bounds the angle away from zero; a good part of them is what a tangency leaves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int8
+
+SPLITS = ("bounded", "tangent", "undecided")
+"""Meanings of the flags 0 to 2 of `tangency`."""
+
+KINDS = ("hyperbolic", "pseudohyperbolic", "tangent", "regular", "undecided", "failed")
+"""Meanings of the flags 0 to 5 of `kind`."""
+
+BOUNDED, TANGENT, UNDECIDED = range(len(SPLITS))
+
+_SHARE, _NEARER = 0.05, 8.0  # of the angles, below whose largest they are counted; how much nearer to zero
+_ENOUGH = 5.0  # expected angles: none of them is seen by chance once in 150 times
+_GOOD_PART = 0.25
+
+
+def judge_splits(angles: Float[np.ndarray, "lanes splits points"]) -> Int8[np.ndarray, "lanes splits"]:
+    """Return whether each angle is bounded away from zero, numbers in `SPLITS`."""
+    expected = _SHARE * angles.shape[-1] / _NEARER
+    near = np.quantile(angles, _SHARE, axis=-1, keepdims=True) / _NEARER
+    count = np.sum(angles < near, axis=-1)
+    conditions = [(count == 0) & (expected >= _ENOUGH), (count >= _GOOD_PART * expected) & (expected >= _ENOUGH)]
+    return np.select(conditions, [BOUNDED, TANGENT], UNDECIDED).astype(np.int8)
+
+
+def judge(
+    splits: Int8[np.ndarray, "lanes splits"],
+    exponents: Float[np.ndarray, "lanes d"],
+    error: Float[np.ndarray, "lanes d"],
+    sums: Float[np.ndarray, "lanes d"],
+    sums_error: Float[np.ndarray, "lanes d"],
+    neutral: int,
+) -> Int8[np.ndarray, " lanes"]:
+    """Return the kind of each lane, a number in `KINDS`.
+
+    Hyperbolic is what has no exponent that may be zero but those along the flow, and angles bounded away from zero on
+    both sides of them. Pseudohyperbolic is what is not known to be so and has a split with an angle bounded away from
+    zero, a gap of the exponents beyond their errors, and volumes that grow in its faster subspace (Turaev and
+    Shilnikov, Sb. Math. 189 (1998) 291).
+
+    Args:
+        splits: of the angles (`judge_splits`).
+        exponents, error: of the vectors, largest first, with errors at 95 %.
+        sums, sums_error: of the first 1, …, d of them.
+        neutral: number of exponents that are known to be zero.
+    """
+    positive, negative = exponents > error, exponents < -error
+    growing, zero = positive.sum(axis=1), (~positive & ~negative).sum(axis=1)
+    chaotic = growing > 0
+    needed = [_at(splits, growing), _at(splits, growing + zero)]
+    clear = zero <= neutral
+    gap = exponents[:, :-1] - exponents[:, 1:] > error[:, :-1] + error[:, 1:]
+    expanding = sums[:, :-1] > sums_error[:, :-1]
+    conditions = [
+        ~np.isfinite(exponents).all(axis=1),
+        ~chaotic & (exponents[:, 0] + error[:, 0] < 0.0),
+        chaotic & clear & np.all([side == BOUNDED for side in needed], axis=0),
+        chaotic & np.any((splits == BOUNDED) & gap & expanding, axis=1),
+        chaotic & np.any([side == TANGENT for side in needed], axis=0),
+    ]
+    return np.select(conditions, [5, 3, 0, 1, 2], KINDS.index("undecided")).astype(np.int8)
+
+
+def _at(splits: Int8[np.ndarray, "lanes splits"], first: np.ndarray) -> np.ndarray:
+    """Return the flag of the split after so many vectors; of none or of all there is nothing to be tangent to."""
+    whole: Bool[np.ndarray, " lanes"] = (first == 0) | (first > splits.shape[1])
+    return np.where(whole, BOUNDED, np.take_along_axis(splits, np.where(whole, 1, first)[:, None] - 1, axis=1)[:, 0])

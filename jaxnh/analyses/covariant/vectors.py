@@ -1,0 +1,91 @@
+"""Covariant Lyapunov vectors of products of matrices (Ginelli et al., Phys. Rev. Lett. 99 (2007) 130601). Host code.
+
+Forward, M_k Q_k = Q_{k+1} R_{k+1} with orthonormal frames Q and triangles R, whose diagonals grow at the exponents.
+Backward, C_k = R_{k+1}⁻¹ C_{k+1} with columns of length one; the vectors are the columns of V_k = Q_k C_k, and each is
+taken to its successor, M_k v_k ∝ v_{k+1}. A diagonal of R that rounding hides says nothing of growth, and hardly
+matters for directions, as what is below it does not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class CovariantVectors(NamedTuple):
+    """Vectors at the points of motions, for as long as both sweeps have settled.
+
+    Attributes:
+        frames: orthonormal, columns, of which the first j span what the first j vectors do, (lanes, points, d, k).
+        coefficients: of the vectors in the frames, upper triangular, columns of length one, (lanes, points, k, k).
+        growth: logarithm of what the map of each point makes of the length of each vector, (lanes, points, k).
+        rounding: error of the growth by rounding, (lanes, points, k).
+    """
+
+    frames: Float[np.ndarray, "lanes points d k"]
+    coefficients: Float[np.ndarray, "lanes points k k"]
+    growth: Float[np.ndarray, "lanes points k"]
+    rounding: Float[np.ndarray, "lanes points k"]
+
+
+_EPSILON = np.finfo(float).eps
+_HIDDEN = 0.1 * _EPSILON  # of the largest growth of a map: less is rounding
+_ROUNDINGS = 8.0
+
+HIDDEN = 16.0
+"""Error of a logarithm of growth that rounding hides."""
+
+
+def covariant_vectors(matrices: Float[np.ndarray, "lanes steps d d"], settling: int, k: int) -> CovariantVectors:
+    """Return the first k covariant vectors at all points but the first and last `settling`.
+
+    Args:
+        matrices: derivatives of the map at successive points, finite and none zero.
+        k: vectors wanted; those of a system with constraints are fewer than its coordinates.
+        settling: maps in which frames, and from the end the vectors, turn to where they belong.
+    """
+    lanes, steps, d, _ = matrices.shape
+    frame = np.broadcast_to(np.linalg.qr(np.random.default_rng(0).normal(size=(d, k)))[0], (lanes, d, k))
+    frames, triangles = np.empty((steps, lanes, d, k)), np.empty((steps, lanes, k, k))
+    for i in range(steps):
+        frames[i] = frame
+        frame, triangles[i] = _orthonormalise(matrices[:, i] @ frame)
+    columns = np.triu(np.ones((k, k))) / np.sqrt(np.arange(1, k + 1))
+    kept = steps - 2 * settling
+    coefficients, growth = np.empty((kept, lanes, k, k)), np.empty((kept, lanes, k))
+    for i in reversed(range(settling, steps)):
+        columns = np.linalg.solve(triangles[i], np.broadcast_to(columns, (lanes, k, k)))
+        length = np.linalg.norm(columns, axis=1)
+        columns = columns / length[:, None]
+        if i < steps - settling:
+            coefficients[i - settling], growth[i - settling] = columns, -np.log(length)
+    sizes = np.abs(np.diagonal(triangles[settling : steps - settling], axis1=2, axis2=3))
+    rounding = np.minimum(_ROUNDINGS * _EPSILON * sizes.max(axis=2, keepdims=True) / sizes, HIDDEN)
+    every = (frames[settling : steps - settling], coefficients, growth, rounding)
+    return CovariantVectors(*(np.moveaxis(leaf, 0, 1) for leaf in every))
+
+
+def _orthonormalise(matrices: Float[np.ndarray, "lanes d k"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return orthonormal frames, and triangles with positive diagonals that are no less than rounding."""
+    frame, triangle = np.linalg.qr(matrices)
+    diagonal = np.diagonal(triangle, axis1=1, axis2=2)
+    sign = np.where(diagonal < 0.0, -1.0, 1.0)
+    triangle = triangle * sign[:, :, None]
+    least = _HIDDEN * np.abs(diagonal).max(axis=1, keepdims=True)
+    every = np.arange(diagonal.shape[1])
+    triangle[:, every, every] = np.maximum(np.abs(diagonal), least)
+    return frame * sign[:, None], triangle
+
+
+def smallest_angles(vectors: CovariantVectors) -> Float[np.ndarray, "lanes splits points"]:
+    """Return the smallest angle between the span of the first j vectors and that of the others, j = 1, …, k − 1.
+
+    Its sine is the least singular value of what is left of an orthonormal basis of the second across the first.
+    """
+    sines = []
+    for j in range(1, vectors.coefficients.shape[-1]):
+        basis, _ = np.linalg.qr(vectors.coefficients[..., :, j:])
+        sines.append(np.linalg.svd(basis[..., j:, :], compute_uv=False)[..., -1])
+    return np.arcsin(np.minimum(np.stack(sines, axis=1), 1.0))

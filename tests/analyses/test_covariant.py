@@ -1,0 +1,125 @@
+"""Covariant Lyapunov vectors: eigenvectors of linear maps, vectors that the map takes to each other, tangencies."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.analyses.covariant.hyperbolicity import BOUNDED, SPLITS, TANGENT, judge_splits
+from jaxnh.analyses.covariant.vectors import covariant_vectors, smallest_angles
+from tests.flows import lorenz
+
+GOLDEN = np.log((3.0 + np.sqrt(5.0)) / 2.0)
+
+
+def words(data, name):
+    return jaxnh.labels(data[name]).to_numpy().tolist()
+
+
+def test_eigenvectors_of_a_matrix():
+    """The vectors of a constant matrix are its eigenvectors, and their growth the logarithms of its eigenvalues."""
+    basis = np.array([[1.0, 0.4, -0.3], [0.2, 1.0, 0.5], [0.1, -0.6, 1.0]])
+    matrix = basis @ np.diag([2.5, 0.7, -0.1]) @ np.linalg.inv(basis)
+    vectors = covariant_vectors(np.broadcast_to(matrix, (2, 200, 3, 3)), 60, 3)
+    directions = (vectors.frames @ vectors.coefficients)[0, 40]
+    cosines = np.abs(np.sum(directions * basis / np.linalg.norm(basis, axis=0), axis=0))
+    assert cosines == pytest.approx(1.0, abs=1e-12)
+    assert vectors.growth == pytest.approx(np.broadcast_to(np.log([2.5, 0.7, 0.1]), vectors.growth.shape), abs=1e-12)
+    first, others = basis[:, 0] / np.linalg.norm(basis[:, 0]), np.linalg.qr(basis[:, 1:])[0]
+    last, before = basis[:, 2] / np.linalg.norm(basis[:, 2]), np.linalg.qr(basis[:, :2])[0]
+    exact = [np.arcsin(np.linalg.norm(v - b @ (b.T @ v))) for v, b in ((first, others), (last, before))]
+    assert smallest_angles(vectors)[0, :, 40] == pytest.approx(exact, abs=1e-12)
+
+
+def test_the_map_takes_vectors_to_each_other():
+    """M_k v_k is along v_{k+1}, of random matrices."""
+    matrices = np.random.default_rng(3).normal(size=(1, 300, 3, 3))
+    vectors = covariant_vectors(matrices, 100, 3)
+    every = (vectors.frames @ vectors.coefficients)[0]
+    images = matrices[0, 100:199] @ every[:-1]
+    lengths = np.linalg.norm(images, axis=1, keepdims=True)
+    cosines = np.abs(np.sum(images / lengths * every[1:], axis=1))
+    assert cosines == pytest.approx(1.0, abs=1e-9)
+    assert np.log(lengths[:, 0]) == pytest.approx(vectors.growth[0, :-1], abs=1e-9)
+
+
+def test_angles_with_and_without_a_tangency():
+    """Even angles down to zero are those of a tangency, and even ones down to a bound are not; of few nothing is said."""
+    even = np.random.default_rng(5).uniform(0.0, 1.0, (200, 1, 2048))
+    assert np.mean(judge_splits(even) == TANGENT) > 0.95
+    assert np.all(judge_splits(even + 0.2) == BOUNDED)
+    assert np.all(judge_splits(even[..., :256]) == SPLITS.index("undecided"))
+
+
+def cat():
+    def image(y):
+        x, z = y
+        return jnp.stack([2.0 * x + z, x + z]) % (2.0 * jnp.pi)
+
+    return {"map": image, "coordinates": ("x", "z"), "angles": ("x", "z")}
+
+
+def henon(a=1.4, b=0.3):
+    def image(s):
+        x, y = s
+        return 1.0 - a * x**2 + y, b * x
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+def test_the_cat_map_is_hyperbolic():
+    """Its matrix is symmetric: vectors are at right angles everywhere, and grow by the golden mean squared."""
+    data = jaxnh.Session(cat, start={"x": 1.0, "z": 0.3}).run(jaxnh.Covariant(strobes=1024, transient=8))
+    assert data["exponents"].to_numpy() == pytest.approx([GOLDEN, -GOLDEN], abs=1e-12)
+    assert float(data["angle_min"][0]) == pytest.approx(np.pi / 2, abs=1e-7)
+    assert words(data, "kind") == "hyperbolic"
+
+
+def test_henons_attractor_has_tangencies():
+    """As the literature knows; the exponents are those of `lyapunov`. One lane escapes."""
+    session = jaxnh.Session(henon, start={"x": 0.1, "y": 0.1})
+    a = np.array([1.39, 1.4, 1.6])
+    data, plain = session.run("covariant", a=a), session.run("lyapunov", a=a)
+    assert words(data, "kind") == ["tangent", "tangent", "failed"]
+    assert words(data, "tangency") == [["tangent"], ["tangent"], ["undecided"]]
+    apart = np.abs(data["exponents"] - plain["exponents"]).to_numpy()[:2]
+    assert np.all(apart < (data["exponents_error"] + plain["exponents_error"]).to_numpy()[:2])
+    sums, error = data["exponents"].sum("exponent").to_numpy(), data["exponents_error"].max("exponent").to_numpy()
+    assert np.all(np.abs(sums - np.log(0.3))[:2] < error[:2])  # but for the angles at both ends
+    assert np.isnan(data["exponents"].to_numpy()[2]).all()
+    assert np.all((data["angle_min"] <= data["angle_min_half"]).to_numpy()[:2])
+    assert data["angle_density"].to_numpy()[:2].sum(axis=-1) == pytest.approx(36 / (0.5 * np.pi))
+
+
+def lorenz_session():
+    session = jaxnh.Session(lorenz.lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-8)
+    return session.on(coordinate="z", value=27.0, direction="down")
+
+
+def test_lorenzs_attractor():
+    """Stable and unstable directions of the section stay apart at rho = 28; sums are the divergence."""
+    data = lorenz_session().run(jaxnh.Covariant(strobes=1024), rho=[28.0])
+    assert words(data, "kind") == ["hyperbolic"]
+    assert float(data["angle_min"].min()) > 1.0
+    sums, error = data["exponents"].sum("exponent").to_numpy(), data["exponents_error"].max("exponent").to_numpy()
+    assert np.abs(sums + 10.0 + 1.0 + 8.0 / 3.0) < error
+    assert np.abs(data["exponents"].isel(exponent=0) - 0.9056) < data["exponents_error"].isel(exponent=0)
+
+
+@pytest.mark.slow
+def test_lorenzs_tangencies_begin_above_30():
+    """Bounded at 28 to 30, where the literature has a hyperbolic attractor of sections, and not far above."""
+    data = lorenz_session().run(jaxnh.Covariant(strobes=16384), rho=[28.0, 29.0, 30.0, 40.0, 50.0])
+    assert words(data, "tangency")[:3] == [["bounded"]] * 3
+    assert {"hyperbolic", "pseudohyperbolic"}.isdisjoint(words(data, "kind")[3:])
+    assert data["angle_min"].to_numpy()[3:].max() < 0.05 < 1.0 < data["angle_min"].to_numpy()[:3].min()
+
+
+def test_directions_are_needed():
+    def one(r=3.7):
+        return {"map": lambda y: r * y[0] * (1.0 - y[0]), "coordinates": "x"}
+
+    with pytest.raises(jaxnh.InputError, match="angles are between directions of the map, and it has one alone"):
+        jaxnh.Session(one, start={"x": 0.3}).run("covariant")
