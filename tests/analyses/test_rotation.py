@@ -121,6 +121,15 @@ def test_arnolds_staircase():
     assert denominator[100] == 2
 
 
+def test_border_of_a_tongue():
+    """The tongue of 0 ends at Omega = k/(2 pi), to 1e-6: beyond it a passage takes 1/sqrt(distance) iterates."""
+    border = 0.9 / TURN
+    options = jaxnh.Rotation(transient=8192, periods=8192)
+    data = jaxnh.Session(arnold, start={"angle": 0.4}).run(options, omega=border + np.array([-1e-6, 1e-6]), k=[0.9])
+    assert kinds(data) == ["locked", "unconverged"]
+    assert data["denominator"].to_numpy().ravel()[0] == 1
+
+
 def test_chaos_has_no_rotation_number():
     """A torus of the standard map has one, the chaotic sea has not: its average converges no better than a plain one."""
     session = jaxnh.Session(standard, start={"angle": 0.3, "momentum": TURN * GOLDEN})
