@@ -652,6 +652,7 @@ KINDS = {
             "reversal": "motions with jumps or switches are not followed backwards",
         },
         constrained_oscillators.CLAMPED,
+        starts_between("x", -0.5, 0.5),
     ),
     "T, Q, f without a clock": Kind(
         "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: 0.05}\nsweep: {mu: {start: 0.1, stop: 0.3, count: 4}}\n"

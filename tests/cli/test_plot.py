@@ -41,6 +41,7 @@ analyses:
   basins: {transient: 32, max_periods: 64}
   branches: {max_period: 1, transient: 30, step: 0.1}
   windows: {max_period: 1, transient: 30, levels: 0, crisis: 0}
+  transients: {n_starts: 16, box: {x1: [-0.1, 0.1]}, max_periods: 16}
 """
 OVER_TWO_AXES = {"curves": "bifurcation_curves", "codimension_two": "special_points"}
 """Groups of analyses that need two, and their panels."""

@@ -306,9 +306,18 @@ def test_schema(sweep, tmp_path):
     assert (run.returncode, run.stderr) == (0, "")
     content = json.loads(run.stdout)
     assert content["$schema"] == "https://json-schema.org/draft/2020-12/schema"
-    assert {"title", "system", "initial", "sweep", "levels", "section", "accuracy", "analyses", "compare"} == set(
-        content["properties"]
-    )
+    assert {
+        "title",
+        "system",
+        "initial",
+        "sweep",
+        "levels",
+        "section",
+        "accuracy",
+        "analyses",
+        "device",
+        "compare",
+    } == set(content["properties"])
     assert {"system", "sweep", "analyses"} == set(content["required"])
     references = [line.split('"')[3] for line in run.stdout.splitlines() if '"$ref"' in line]
     assert references

@@ -185,7 +185,7 @@ def test_double_scroll_is_at_rest_where_the_file_says():
     """At ±(1.5, 0, −1.5); and the divergence is that of the two kinds of pieces."""
     flow, _, _, _ = flow_and_lanes("chua")
     for sign in (1.0, -1.0):
-        rate = flow.rhs(0.0, Point((sign * 1.5, jnp.zeros(()), sign * -1.5)), {"alpha": 9.0})
+        rate = flow.rhs(0.0, flow.chart.state(jnp.array([sign * 1.5, 0.0, sign * -1.5])), {"alpha": 9.0})
         assert np.abs(np.array(rate.y)).max() < 1e-14
     for x, slope in ((0.5, -8 / 7), (2.0, -5 / 7)):
         found = flow.divergence(0.0, Point(tuple(jnp.asarray([x, 0.0, 0.0]))), {"alpha": 9.0})

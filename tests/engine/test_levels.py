@@ -83,7 +83,7 @@ def test_what_is_near_a_change():
         (
             {"count": 2, "refine": "boundary"},
             {"diagram": {}},
-            "levels.refine: a boundary is seen in lyapunov, period, verdict, basins, reversal and rotation; ask for one of them as well",
+            "levels.refine: a boundary is seen in lyapunov, period, verdict, basins, reversal, covariant and rotation; ask for one of them as well",
         ),
         (
             {"count": 2},

@@ -12,6 +12,7 @@ from tests.helpers.paths import ROOT
 EXAMPLES = {example.name: example for example in newcomer.examples()}
 WITHOUT = {
     "config.md",
+    "covariant.md",
     "orbits.md",
     "reversal.md",
     "transients.md",

@@ -68,7 +68,7 @@ def numbers(options: DiagramOptions) -> int:
 def check(options: DiagramOptions, setting: Setting) -> None:
     """Check that a phase has a period, a carried state a parameter, and that there is one kind of start states."""
     check_transient(options.transient, setting)
-    check_outputs(options.outputs, setting)
+    check_outputs(options.outputs or (), setting)
     if options.phase and (setting.autonomous or not setting.flow.continuous):
         raise OptionError("there is no period to have a phase in; leave it out", "phase")
     first = setting.axes[0]
@@ -107,7 +107,7 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         **section_attrs(batch),
     }
     variables = state_variables(batch.system, states, t, dims)
-    variables |= output_variables(options.outputs, lanes, batch.system, states, batch.p, t, dims)
+    variables |= output_variables(options.outputs or (), lanes, batch.system, states, batch.p, t, dims)
     return xr.Dataset(statistics(variables, "strobe") if options.statistics else variables, attrs=attrs)
 
 

@@ -44,7 +44,7 @@ def numbers(options: PoincareOptions) -> int:
 def check(options: PoincareOptions, setting: Setting) -> None:
     """Check that the first strobe is on the section, and that there are the outputs."""
     check_transient(options.transient, setting)
-    check_outputs(options.outputs, setting)
+    check_outputs(options.outputs or (), setting)
 
 
 def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -60,7 +60,7 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
         variables["t"] = variable("strobe", time, words, batch.flow.labels.units["t"])
     at = np.zeros(1), (LANE, "strobe"), {"coordinates": "t"}
     variables |= state_variables(batch.system, states, *at)
-    variables |= output_variables(options.outputs, lanes, batch.system, states, p, *at)
+    variables |= output_variables(options.outputs or (), lanes, batch.system, states, p, *at)
     return xr.Dataset(variables, attrs=section_attrs(batch))
 
 

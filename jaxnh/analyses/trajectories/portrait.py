@@ -42,7 +42,7 @@ def check(options: PortraitOptions, setting: Setting) -> None:
     """Check that there is something between strobes."""
     if not setting.flow.continuous:
         raise OptionError("a map has nothing between its iterates, which are in poincare: ask for that")
-    check_outputs(options.outputs, setting)
+    check_outputs(options.outputs or (), setting)
 
 
 def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -66,7 +66,7 @@ def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
         "t": variable("time", time, "time since the start", batch.flow.labels.units["t"]),
         **state_variables(batch.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
         **output_variables(
-            options.outputs, lanes, batch.system, states, p, in_period, (LANE, "time"), {"coordinates": "t"}
+            options.outputs or (), lanes, batch.system, states, p, in_period, (LANE, "time"), {"coordinates": "t"}
         ),
     }
     return xr.Dataset(variables)
