@@ -22,7 +22,6 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Section
 from jaxnh.solvers import dopri8, tsit5
-from jaxnh.systems.first_order import Point
 from tests.helpers.cases import some_slow
 from tests.helpers.paths import ROOT
 
@@ -188,7 +187,7 @@ def test_double_scroll_is_at_rest_where_the_file_says():
         rate = flow.rhs(0.0, flow.chart.state(jnp.array([sign * 1.5, 0.0, sign * -1.5])), {"alpha": 9.0})
         assert np.abs(np.array(rate.y)).max() < 1e-14
     for x, slope in ((0.5, -8 / 7), (2.0, -5 / 7)):
-        found = flow.divergence(0.0, Point(tuple(jnp.asarray([x, 0.0, 0.0]))), {"alpha": 9.0})
+        found = flow.divergence(0.0, flow.chart.state(jnp.asarray([x, 0.0, 0.0])), {"alpha": 9.0})
         assert float(found) == pytest.approx(-9.0 * (1 + slope) - 1, abs=1e-14)
 
 

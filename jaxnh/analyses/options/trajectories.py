@@ -12,7 +12,7 @@ _FOR_RANDOM = ("n_starts", "seed", "box")
 
 
 Outputs = Annotated[
-    tuple[str, ...],
+    tuple[str, ...] | None,
     Field(
         strict=False,
         description="Outputs of mechanics beside the states, as energies, multipliers, powers; each is computed where "
@@ -30,7 +30,7 @@ class PortraitOptions(Options):
     transient: int = Field(default=512, ge=0, description="Periods before the first sample; 0: it is the start state")
     periods: int = Field(default=16, ge=1, description="Length of the trajectory, in periods")
     samples: int = Field(default=256, ge=1, le=65536, description="Samples a period, evenly spaced in time")
-    outputs: Outputs | None = None
+    outputs: Outputs = None
 
 
 class PoincareOptions(Options):
@@ -38,7 +38,7 @@ class PoincareOptions(Options):
 
     transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
     strobes: int = Field(default=1024, ge=1, description="Number of strobes kept, one period apart")
-    outputs: Outputs | None = None
+    outputs: Outputs = None
 
 
 class DiagramOptions(Options):
@@ -62,7 +62,7 @@ class DiagramOptions(Options):
         default=None,
         description="Of the strobes of each trajectory keep the largest, smallest, mean and standard deviation alone",
     )
-    outputs: Outputs | None = None
+    outputs: Outputs = None
     phase: float = Field(default=0.0, ge=0.0, lt=1.0, description="When in a period to strobe, as a fraction of it")
     n_starts: int = Field(default=16, ge=1, description="Number of random start states a lane")
     seed: int = Field(default=0, ge=0, description="Seed of the random start states")

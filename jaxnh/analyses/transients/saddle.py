@@ -86,7 +86,8 @@ def _growth(
     needed = np.arange(count) < (first + width)[:, None]
     at = images(lanes, batch.strobe(), dict(batch.p), np.ones(motions, np.int32))
     matrices = np.zeros((motions, count, d, d))
-    matrices[needed] = np.asarray(at(points[:, :count][needed], np.nonzero(needed)[0]).monodromy)
+    if needed.any():  # else all have left at once
+        matrices[needed] = np.asarray(at(points[:, :count][needed], np.nonzero(needed)[0]).monodromy)
     tangents = np.tile(np.array(general_directions(d, 2)).reshape(-1, d).T[:, [0, -1]], (motions, 1, 1))
     total = np.zeros((motions, 2))
     with np.errstate(all="ignore"):  # beyond the range there are no matrices
