@@ -144,10 +144,10 @@ def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapp
 
 
 def _dataset(
-    options: VerdictOptions, batch: LaneBatch, done: Mapping[str, xr.Dataset], found: Mapping[str, np.ndarray]
+    options: VerdictOptions, batch: LaneBatch, done: Mapping[str, xr.Dataset], columns: Mapping[str, np.ndarray]
 ) -> xr.Dataset:
     """Return the variables of all lanes."""
-    kind = found["kind"]
+    kind = columns["kind"]
     codes = np.max([done[name]["status"].to_numpy() for name in ANALYSIS.options.needs], axis=0)
     codes = np.where(kind == _FAILED, np.where(codes > 0, codes, NOT_FINITE), 0)
     words = f"lag, up to {_LONGEST}, after which a lane that had looked chaotic repeats itself"
@@ -155,11 +155,11 @@ def _dataset(
     variables = {
         "kind": flag(LANE, kind, "kind of motion from all criteria together", KINDS),
         "status": as_variable(LANE, status(codes)),
-        "phase_volume": flag(LANE, found["volume"], "what becomes of phase volume along the motion", VOLUMES),
+        "phase_volume": flag(LANE, columns["volume"], "what becomes of phase volume along the motion", VOLUMES),
         "recurrence_lag": number_variable(
-            LANE, found["lag"], words, ("lost", "not_followed", "none"), _LOST, counted_in=iterate_units(batch.system)
+            LANE, columns["lag"], words, ("lost", "not_followed", "none"), _LOST, counted_in=iterate_units(batch.system)
         ),
-        "unsteadiness": variable(LANE, found["unsteady"], steady_words),
+        "unsteadiness": variable(LANE, columns["unsteady"], steady_words),
     }
     return xr.Dataset(variables, attrs={"confirmation_factor": options.confirmation_factor})
 

@@ -56,7 +56,7 @@ class DiagramOptions(Options):
         ge=1,
         le=64,
         description="Strobes of lanes that settle on a periodic orbit up to this period are those of the orbit itself, "
-        "found by Newton; nothing: of none",
+        "by Newton; nothing: of none",
     )
     statistics: bool | None = Field(
         default=None,

@@ -61,16 +61,16 @@ def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
     for numbers, batch in sweep.rows:
         strobes = refined_maps(batch)[:2]
         pairs = _neighbours(sweep.axes, shape, numbers)
-        found = search(options, batch, lanes, strobes[0], u[numbers])
+        known = search(options, batch, lanes, strobes[0], u[numbers])
         with lanes.stage(f"orbits: those of neighbours in {batch.count} lanes", 0):
-            found = search_neighbours(found, batch, lanes, strobes[0], pairs)
+            known = search_neighbours(known, batch, lanes, strobes[0], pairs)
         with lanes.stage("orbits: periods and multipliers", 0):
             measured = {
-                n: measure(batch, lanes, strobes, cycles, found.size)
-                for n, cycles in found.cycles.items()
+                n: measure(batch, lanes, strobes, cycles, known.size)
+                for n, cycles in known.cycles.items()
                 if len(cycles.lane)
             }
-        parts.append(LaneOrbits(numbers, batch, found, measured))
+        parts.append(LaneOrbits(numbers, batch, known, measured))
     return {
         "orbits": orbits_group(options, lanes, parts, len(u)),
         "orbit_counts": counts_group(options.max_period, parts, len(u)),

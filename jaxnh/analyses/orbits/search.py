@@ -77,8 +77,8 @@ def search(
                 size = _sizes(batch, lanes, path, states, random)
             at[open_] = path[:, length - 1]
             paths = [path, *([random[open_, turn]] if random is not None else [])]
-            found = _round(options, part, lanes, strobe, paths, size[open_])
-        for n, new in found.items():
+            by_returns = _round(options, part, lanes, strobe, paths, size[open_])
+        for n, new in by_returns.items():
             cycles[n] = merge_cycles(cycles[n], new._replace(lane=open_[new.lane]), size, batch.chart.wrap)
         made[open_] += 1
         if turn + 1 >= _LEAST_ROUNDS:
@@ -89,14 +89,14 @@ def search(
 
 
 def search_neighbours(
-    found: Search, batch: LaneBatch, lanes: LaneRunner, strobe: Maps, neighbours: Int[np.ndarray, "pairs 2"]
+    known: Search, batch: LaneBatch, lanes: LaneRunner, strobe: Maps, neighbours: Int[np.ndarray, "pairs 2"]
 ) -> Search:
     """Return the orbits with those that lanes have in common with neighbours, by Newton from the orbits of these.
 
     Args:
         neighbours: numbers of a lane and of one that has values of the parameters next to its own.
     """
-    cycles, wrap = dict(found.cycles), batch.chart.wrap
+    cycles, wrap = dict(known.cycles), batch.chart.wrap
     fresh = {n: np.arange(len(of.lane)) for n, of in cycles.items()}
     while any(len(numbers) for numbers in fresh.values()) and len(neighbours):
         more = dict[int, list[Cycles]]()
@@ -104,13 +104,13 @@ def search_neighbours(
             number, pair = np.nonzero(cycles[n].lane[numbers][:, None] == neighbours[None, :, 0])
             if len(number):
                 points, lane = cycles[n].points[numbers[number]], neighbours[pair, 1]
-                for new in newton(batch, lanes, strobe, points, lane, found.size):
+                for new in newton(batch, lanes, strobe, points, lane, known.size):
                     more.setdefault(new.points.shape[1], []).append(new)
         before = {n: len(of.lane) for n, of in cycles.items()}
         for n, parts in more.items():
-            cycles[n] = merge_cycles(cycles[n], joined(parts), found.size, wrap, sample=False)
+            cycles[n] = merge_cycles(cycles[n], joined(parts), known.size, wrap, sample=False)
         fresh = {n: np.arange(before[n], len(of.lane)) for n, of in cycles.items()}
-    return found._replace(cycles=cycles)
+    return known._replace(cycles=cycles)
 
 
 def joined(parts: Sequence[Cycles]) -> Cycles:
@@ -184,7 +184,7 @@ def _round(
     size: Float[np.ndarray, "lanes d"],
 ) -> dict[int, Cycles]:
     """Return the orbits that a round finds by number of returns, from one path of each lane and random ones."""
-    (path, *random), found = paths, dict[int, list[Cycles]]()
+    (path, *random), by_returns = paths, dict[int, list[Cycles]]()
     begun = WINDOW * np.arange(WINDOWS)
     for n in range(1, options.max_period + 1):
         nearest = nearest_returns(path, n, WINDOWS, size, batch.chart.wrap)
@@ -195,8 +195,8 @@ def _round(
         points, lane = (np.concatenate(leaves) for leaves in zip(*starts, strict=True))
         if len(lane):
             for cycles in newton(batch, lanes, strobe, points, lane, size):
-                found.setdefault(cycles.points.shape[1], []).append(cycles)
-    return {n: joined(parts) for n, parts in found.items()}
+                by_returns.setdefault(cycles.points.shape[1], []).append(cycles)
+    return {n: joined(parts) for n, parts in by_returns.items()}
 
 
 def _random_paths(

@@ -36,13 +36,13 @@ class LaneOrbits(NamedTuple):
     Attributes:
         numbers: of the lanes, in the order of the sweep, (lanes,).
         batch: the lanes.
-        found: the orbits, and how they were found.
+        search: the orbits, and how often they were met.
         measured: their numbers, by number of returns.
     """
 
     numbers: Int[np.ndarray, " lanes"]
     batch: LaneBatch
-    found: Search
+    search: Search
     measured: Mapping[int, MeasuredCycles]
 
 
@@ -99,7 +99,7 @@ def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[Lane
         "stability": flag(dims, column("stability", -1), "stability of the orbit", STABILITIES, -1),
         "met": variable(
             dims,
-            whole([row.part.found.cycles[row.n].rounds for row in rows], 0).astype(np.int32),
+            whole([row.part.search.cycles[row.n].rounds for row in rows], 0).astype(np.int32),
             "number of rounds in which the orbit was met; of one known from a neighbour alone 0",
         ),
         "residual": variable(dims, column("residual"), "largest component of P(u) − u, in sizes of the motion"),
@@ -113,7 +113,7 @@ def _rows(part: LaneOrbits) -> list[_Row]:
     """Return where the orbits of a batch go: in each lane by number of returns, then by time and first coordinate."""
     rows, filled = list[_Row](), np.zeros(part.batch.count, int)
     for n, measured in part.measured.items():
-        lane = part.found.cycles[n].lane
+        lane = part.search.cycles[n].lane
         order = np.lexsort((measured.points[:, 0, 0], measured.time, lane))
         first = np.searchsorted(lane[order], np.arange(part.batch.count))
         place = np.empty(len(lane), int)
@@ -129,18 +129,18 @@ def counts_group(limit: int, parts: Sequence[LaneOrbits], count: int) -> xr.Data
     growth, rounds = np.full((2, count), np.nan), np.zeros(count, np.int32)
     for part in parts:
         for place, lane in enumerate(part.numbers):
-            for n, cycles in part.found.cycles.items():
+            for n, cycles in part.search.cycles.items():
                 met = cycles.rounds[cycles.lane == place]
                 number[lane, n - 1] = len(met)
-                estimates[:, lane, n - 1] = missing_orbits(met, int(part.found.rounds[place]))
+                estimates[:, lane, n - 1] = missing_orbits(met, int(part.search.rounds[place]))
             growth[:, lane] = topological_entropy(number[lane].astype(float), estimates[2, lane])
-            rounds[lane] = part.found.rounds[place]
+            rounds[lane] = part.search.rounds[place]
     of_n = (LANE, "n")
     words = "of the 95 % interval of the number of missing orbits"
     variables = {
         "n": variable("n", np.arange(1, limit + 1), "number of returns"),
-        "number": variable(of_n, number, "number of orbits of n returns that were found"),
-        "missing": variable(of_n, estimates[0], "estimated number of orbits of n returns that were not found"),
+        "number": variable(of_n, number, "number of orbits of n returns that are known"),
+        "missing": variable(of_n, estimates[0], "estimated number of orbits of n returns that are missing"),
         "missing_low": variable(of_n, estimates[1], f"lower end {words}"),
         "missing_high": variable(of_n, estimates[2], f"upper end {words}"),
         "entropy": variable(LANE, growth[0], "topological entropy per return, from the numbers of orbits"),
@@ -156,9 +156,9 @@ def _status(parts: Sequence[LaneOrbits], count: int) -> Entry:
     failed = np.zeros(count, bool)
     for part in parts:
         some = np.zeros(part.batch.count, bool)
-        for cycles in part.found.cycles.values():
+        for cycles in part.search.cycles.values():
             some[cycles.lane] = True
-        failed[part.numbers] = ~part.found.moving & ~some
+        failed[part.numbers] = ~part.search.moving & ~some
     return as_variable(LANE, status(np.where(failed, NOT_FINITE, 0)))
 
 
@@ -190,7 +190,7 @@ def _real_and_imaginary(values: np.ndarray) -> np.ndarray:
 
 
 def counts_table(data: xr.Dataset) -> Table:
-    """Return a row for each number of returns: orbits found and missing, of several lanes the least and the most."""
+    """Return a row for each number of returns: orbits known and missing, of several lanes the least and the most."""
     number, low, high, missing = (
         data[name].transpose(..., "n").to_numpy().reshape(-1, data.sizes["n"])
         for name in ("number", "missing_low", "missing_high", "missing")

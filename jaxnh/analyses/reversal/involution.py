@@ -117,7 +117,7 @@ def _keep_section(system: System, candidates: Reversal, p: Parameters) -> Bool[n
 
 
 def _describe_failure(batch: LaneBatch) -> str:
-    """Return in words why no reversal was found."""
+    """Return in words why there is no reversal."""
     system, flow, p = batch.system, batch.flow, _sample_lanes(batch)[0]
     declared = declared_reversal(flow)
     candidates = _as_candidates(declared) if declared else sign_changes(flow)
