@@ -183,11 +183,7 @@ class _Lane:
         share = jnp.where(seeking, 1.0, march.share)
         h = share * stretch
         t = jnp.where(seeking, end, march.t + h)
-        ahead = self._advance(march.t, h, march.side, march.moving)
-        if self._holding:
-            ahead = self._passage.bring_back(t, ahead, march.side)
-        if self._system.constrained:
-            ahead = self._passage.project(t, ahead, march.side)
+        ahead = self._restore(t, self._advance(march.t, h, march.side, march.moving), march.side)
         reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
         passages = passages_within(march, reading, h, self._sides_of_heights(march.side), self._either, seeking, finite)
         seen, sought = passages.seen, march.sought
@@ -239,6 +235,12 @@ class _Lane:
         )
 
     # ---- parts of a trial
+
+    def _restore(self, t: Array, moving: Moving, side: Heights) -> Moving:
+        """Bring what is held back to where it is held, and velocities to the constraints that act."""
+        if self._holding:
+            moving = self._passage.bring_back(t, moving, side)
+        return self._passage.project(t, moving, side) if self._system.constrained else moving
 
     def _advance(self, t: Array, h: Array, sides: Heights, moving: Moving) -> Moving:
         """One Runge–Kutta step, on one branch of the field."""

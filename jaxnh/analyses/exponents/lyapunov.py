@@ -22,11 +22,12 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, as_variable, flag, variable
+from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, as_variable, flag, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.dimension import kaplan_yorke
 from jaxnh.analyses.exponents.errors import (
+    Average,
     average_blocks,
     average_windows,
     change,
@@ -305,14 +306,24 @@ def _dataset(
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
             variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
         total = exponent_sum(batch, averages, spectrum, options.transient // _ALIGNING, options.periods // BLOCKS)
-        words = "sum of all exponents, of averages by the growth of volume"
-        variables["exponent_sum"] = variable(LANE, total.mean / period, words, **rate)
-        variables["exponent_sum_error"] = variable(LANE, total.error / period, "error of the sum at 95 %", **rate)
-        # Without a clock the exponent along the flow counts as well.
-        of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
-        of = "of the flow" if batch.flow.autonomous else of_strobes
-        variables["kaplan_yorke"] = variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {of}")
+        variables |= _sum_and_dimension(batch, total, exponents)
     return xr.Dataset(variables, attrs=attrs)
+
+
+def _sum_and_dimension(
+    batch: LaneBatch, total: Average, exponents: Float[np.ndarray, "lanes exponents"]
+) -> dict[str, Entry]:
+    """Return what follows from all exponents: their sum a period, as one a unit of time, and the dimension."""
+    rate, period = rate_attrs(batch.flow), batch.flow.period
+    words = "sum of all exponents, of averages by the growth of volume"
+    # Without a clock the exponent along the flow counts as well.
+    of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
+    of = "of the flow" if batch.flow.autonomous else of_strobes
+    return {
+        "exponent_sum": variable(LANE, total.mean / period, words, **rate),
+        "exponent_sum_error": variable(LANE, total.error / period, "error of the sum at 95 %", **rate),
+        "kaplan_yorke": variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {of}"),
+    }
 
 
 def _sum_rule_in_words(batch: LaneBatch, divergence: str) -> str:
