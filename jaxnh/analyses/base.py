@@ -176,6 +176,20 @@ def _accept(options: Any, setting: Setting) -> None:
     return None
 
 
+def range_in_words(values: np.ndarray) -> str:
+    """Return the least and the largest of numbers for a table, one where they look alike; – where none is finite."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return "–"
+    low, high = f"{finite.min():.3g}", f"{finite.max():.3g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def kind_of_lanes(data: xr.Dataset) -> Int[np.ndarray, ...]:
+    """Return the kind, which tells lanes apart where a level of a sweep leaves some out (`Analysis.classes`)."""
+    return data["kind"].to_numpy().astype(int)
+
+
 @dataclass(frozen=True)
 class Analysis:
     """An entry in the table of analyses.

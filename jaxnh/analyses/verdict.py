@@ -56,7 +56,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from jaxnh.analyses.base import LANE, Analysis, as_variable, flag, number_variable, variable
+from jaxnh.analyses.base import LANE, Analysis, as_variable, flag, kind_of_lanes, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.options.base import BLOCKS
@@ -376,17 +376,12 @@ def price(options: VerdictOptions, batch: LaneBatch) -> Price:
     return Price(None, map_alone(batch), "not measured: the map alone, for lanes that look chaotic")
 
 
-def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
-    """Return the kind of motion."""
-    return data["kind"].to_numpy().astype(int)
-
-
 ANALYSIS = Analysis(
     "verdict",
     VerdictOptions,
     periods,
     run,
-    classes=classes,
+    classes=kind_of_lanes,
     price=price,
 )
 """The entry of this analysis in the table."""

@@ -12,9 +12,21 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, Table, as_variable, flag, variable
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    Entry,
+    OptionError,
+    Setting,
+    Table,
+    as_variable,
+    flag,
+    kind_of_lanes,
+    range_in_words,
+    variable,
+)
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.covariant.hyperbolicity import KINDS, SPLITS, judge, judge_splits
 from jaxnh.analyses.covariant.vectors import HIDDEN, CovariantVectors, covariant_vectors, smallest_angles
@@ -180,26 +192,20 @@ def _exponents(batch: LaneBatch, motions: Motions, vectors: CovariantVectors, se
 
 def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     """Return how many lanes are of each kind, with the ranges of their largest exponents and smallest angles."""
-    kind, largest = (data[name].to_numpy() for name in ("kind", "exponents"))
+    kind, largest = data["kind"].to_numpy().ravel(), data["exponents"].isel(exponent=0).to_numpy().ravel()
     smallest = data["angle_min"].transpose(..., "split").to_numpy().min(axis=-1).ravel()
-    largest, kind = data["exponents"].isel(exponent=0).to_numpy().ravel(), kind.ravel()
     rows = tuple(
-        (word, f"{np.count_nonzero(kind == k):,}", _range(largest[kind == k]), _range(smallest[kind == k]))
+        (
+            word,
+            f"{np.count_nonzero(kind == k):,}",
+            range_in_words(largest[kind == k]),
+            range_in_words(smallest[kind == k]),
+        )
         for k, word in enumerate(KINDS)
         if np.any(kind == k)
     )
     heads = ("kind", "lanes", "largest exponent", "smallest angle (rad)")
     return Table("Covariant Lyapunov vectors", heads, rows, f"{data.attrs.get('strobes', '')} points a lane", (0,))
-
-
-def _range(values: np.ndarray) -> str:
-    finite = values[np.isfinite(values)]
-    return f"{finite.min():.3g} to {finite.max():.3g}" if finite.size else "–"
-
-
-def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
-    """Return the kind."""
-    return data["kind"].to_numpy().astype(int)
 
 
 def price(options: CovariantOptions, batch: LaneBatch) -> Price:
@@ -212,7 +218,7 @@ ANALYSIS = Analysis(
     CovariantOptions,
     periods,
     run,
-    classes=classes,
+    classes=kind_of_lanes,
     check=check,
     table=table,
     price=price,

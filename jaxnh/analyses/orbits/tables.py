@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, variable
+from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.orbits import OrbitsOptions
 from jaxnh.analyses.orbits.entropy import topological_entropy
@@ -198,14 +198,9 @@ def counts_table(data: xr.Dataset) -> Table:
     rows = []
     for k, n in enumerate(data["n"].to_numpy().tolist()):
         ends = f"{low[:, k].min():.3g} to {high[:, k].max():.3g}"
-        rows.append((str(n), _range(number[:, k]), _range(missing[:, k]), ends))
+        rows.append((str(n), range_in_words(number[:, k]), range_in_words(missing[:, k]), ends))
     entropy = data["entropy"].to_numpy().ravel()
     caption = ""
     if entropy.size == 1 and np.isfinite(entropy[0]):
         caption = f"topological entropy {entropy[0]:.6g} ± {float(data['entropy_error'].max()):.1g} per return"
     return Table("Periodic orbits", ("returns", "orbits", "missing", "95 %"), tuple(rows), caption or None)
-
-
-def _range(values: np.ndarray) -> str:
-    low, high = f"{values.min():.3g}", f"{values.max():.3g}"
-    return low if low == high else f"{low} to {high}"

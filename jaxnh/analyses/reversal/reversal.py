@@ -31,7 +31,19 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int, Int8
 
-from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, Table, as_variable, flag, variable
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    Entry,
+    OptionError,
+    Setting,
+    Table,
+    as_variable,
+    flag,
+    kind_of_lanes,
+    range_in_words,
+    variable,
+)
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.intervals import binomial_interval
@@ -252,20 +264,10 @@ def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     for number, word in enumerate(KINDS):
         of_kind = kind == number
         if of_kind.any():
-            ranges = (_range(values[of_kind]) for values in columns)
+            ranges = (range_in_words(values[of_kind]) for values in columns)
             rows.append((word, f"{np.count_nonzero(of_kind):,}", *ranges))
     heads = ("kind", "lanes", "sum of exponents", "distance", "overlap")
     return Table("Attractors and their images", heads, tuple(rows), f"reversal: {data.attrs.get('reversal', '')}", (0,))
-
-
-def _range(values: np.ndarray) -> str:
-    finite = values[np.isfinite(values)]
-    return f"{finite.min():.3g} to {finite.max():.3g}" if finite.size else "–"
-
-
-def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
-    """Return the kind."""
-    return data["kind"].to_numpy().astype(int)
 
 
 def price(options: ReversalOptions, batch: LaneBatch) -> Price:
@@ -280,7 +282,7 @@ ANALYSIS = Analysis(
     periods,
     run,
     choose=choose,
-    classes=classes,
+    classes=kind_of_lanes,
     check=check,
     table=table,
     price=price,
