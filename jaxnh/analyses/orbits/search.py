@@ -22,7 +22,6 @@ from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import random_start_batch
 from jaxnh.analyses.section_points import points_after, points_at, states_after, states_at
 from jaxnh.maps.family import Maps
-from jaxnh.maps.iterate import Derivatives
 from jaxnh.maps.section import Section
 from jaxnh.orbits.recognition import Cycles, equal_cycles, merge_cycles, no_cycles, primitive_period
 from jaxnh.orbits.shooting import Period, orbits_from_afar
@@ -120,12 +119,7 @@ def joined(parts: Sequence[Cycles]) -> Cycles:
 
 def map_of_lanes(batch: LaneBatch, lanes: LaneRunner, strobe: Maps) -> Period:
     """Return P and ∂P/∂u at points of lanes of a batch, which are given by their numbers."""
-    at = images(lanes, strobe, dict(batch.p), np.ones(batch.count, np.int32))
-
-    def period(u: Float[np.ndarray, "points d"], lane: Int[np.ndarray, " points"]) -> Derivatives:
-        return at(u, lane)
-
-    return period
+    return images(lanes, strobe, dict(batch.p), np.ones(batch.count, np.int32))
 
 
 def newton(
