@@ -26,6 +26,7 @@ from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting
+from jaxnh.solvers.diffrax_solvers import DiffraxSteps
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
@@ -235,7 +236,7 @@ def _explicit(flow: Flow) -> Iterator[Iterator[SolverSetting]]:
     def adaptive(name: str, solver: Any) -> Iterator[SolverSetting]:
         tolerance = _FIRST_TOLERANCE
         while tolerance > _LEAST_TOLERANCE:
-            yield SolverSetting(name, AdaptivePeriod(solver, tolerance), 1, math.nan, tolerance=tolerance)
+            yield SolverSetting(name, DiffraxSteps(AdaptivePeriod(solver, tolerance)), 1, math.nan, tolerance=tolerance)
             tolerance *= 10**-_FEW_DECADES
 
     own = [solver for solver in scheme_of(flow).solvers(flow.flow) if not isinstance(solver, IsokineticSplitting)]
@@ -245,7 +246,7 @@ def _explicit(flow: Flow) -> Iterator[Iterator[SolverSetting]]:
         return
     for stock, order in ((diffrax.Tsit5(), 5), (diffrax.Dopri8(), 8)):
         name = f"diffrax {type(stock).__name__}"
-        yield constant(name, stock, order, stock.tableau.num_stages - int(stock.tableau.fsal))
+        yield constant(name, DiffraxSteps(stock), order, stock.tableau.num_stages - int(stock.tableau.fsal))
         yield adaptive(f"{name} adaptive", stock)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar, Protocol
 
-import diffrax
 import jax
 import numpy as np
 
@@ -226,7 +225,7 @@ def _with_events(solver: Any) -> WrittenOutRungeKutta:
     return solver
 
 
-def _check_solver(solver: Any) -> diffrax.AbstractSolver:
+def _check_solver(solver: Any) -> Any:
     if isinstance(solver, IsokineticSplitting):
         raise TypeError(f"{solver.name} is a splitting for a particle at a prescribed speed")
     return solver

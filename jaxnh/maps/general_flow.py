@@ -1,10 +1,10 @@
 """The strobe map of any flow by a Runge–Kutta method, each step projected on the constraints, on a grid of steps.
 
-The loop does the arithmetic of `solvers.projection.ProjectedSolver` under `diffrax.diffeqsolve`, and so many steps are
-data: one program serves every accuracy. What the field makes of time alone is in a table (`time_tables`). Tangents and
-volume go along with the state, stage by stage, by the field's linearisation, which is the exact derivative of the
-steps. Solvers that are not the package's run under `diffeqsolve` itself. Derivatives go through the constraints as
-well: in 2k coordinates and velocities the map has m multipliers zero.
+The loop does the arithmetic of `solvers.diffrax_solvers.ProjectedSolver` under `diffrax.diffeqsolve`, and so many steps
+are data: one program serves every accuracy. What the field makes of time alone is in a table (`time_tables`). Tangents
+and volume go along with the state, stage by stage, by the field's linearisation, which is the exact derivative of the
+steps. Solvers of diffrax run under `diffeqsolve` itself. Derivatives go through the constraints as well: in 2k
+coordinates and velocities the map has m multipliers zero.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -60,7 +59,7 @@ class GeneralStrobe(ReturnMap):
 
     Attributes:
         system: the flow.
-        solver: a Runge–Kutta method of the package, or any diffrax solver that takes one term.
+        solver: a Runge–Kutta method of the package, or `solvers.diffrax_solvers.DiffraxSteps`.
         grid: ends of the steps, (capacity + 1,); the last one repeats where not all are in use.
         steps: how many are in use; None of the only one, which is no loop.
         values: what time alone decides, at the stages of all steps, each (capacity, stages).
@@ -68,7 +67,7 @@ class GeneralStrobe(ReturnMap):
     """
 
     system: Flow
-    solver: diffrax.AbstractSolver = eqx.field(static=True)
+    solver: Any = eqx.field(static=True)
     grid: ArrayLike
     steps: ArrayLike | None
     values: tuple[Any, ...] = ()
@@ -109,7 +108,7 @@ class GeneralStrobe(ReturnMap):
 
     def __call__(self, state: State, p: Parameters) -> State:
         if not isinstance(self.solver, WrittenOutRungeKutta):
-            return self._by_diffrax(state, p)
+            return self.solver.flow_over(self.system, jnp.asarray(self.grid), state, p)
         own = own_parameters(self.system, p)
 
         system = self.system
@@ -131,7 +130,7 @@ class GeneralStrobe(ReturnMap):
         self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
     ) -> Pushforward:
         if not isinstance(self.solver, WrittenOutRungeKutta):
-            return self._pushforward_by_diffrax(state, p, tangents)
+            return self._pushforward_of_call(state, p, tangents)
         own = own_parameters(self.system, p)
         by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         moved: Any = tuple(t.state for t in tangents)
@@ -209,24 +208,7 @@ class GeneralStrobe(ReturnMap):
 
         return step(0, y) if self.steps is None else lax.fori_loop(0, self.steps, step, y)
 
-    def _by_diffrax(self, y: State, p: Parameters) -> State:
-        grid = jnp.asarray(self.grid)
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(self.system.rhs),
-            self.solver,
-            t0=grid[0],
-            t1=grid[-1],
-            dt0=None,
-            y0=y,
-            args=p,
-            stepsize_controller=diffrax.StepTo(grid),
-            adjoint=diffrax.ForwardMode(),
-            max_steps=len(grid),
-            throw=False,
-        )
-        return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
-
-    def _pushforward_by_diffrax(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
+    def _pushforward_of_call(self, state: State, p: Parameters, tangents: tuple[Tangent, ...]) -> Pushforward:
         still = jax.tree.map(jnp.zeros_like, dict(p))
         moved = []
         for t in tangents:
@@ -323,7 +305,7 @@ def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
     return TimeSplit(rate, system, (state, dict.fromkeys(system.lane_parameters, 0.0)))
 
 
-def general_strobe(system: Flow, solver: diffrax.AbstractSolver, grid: np.ndarray) -> GeneralStrobe:
+def general_strobe(system: Flow, solver: Any, grid: np.ndarray) -> GeneralStrobe:
     """The map over a grid (steps + 1,), or stacked maps of one flow over grids (parts, steps + 1)."""
     count, parts = grid.shape[-1] - 1, grid.shape[:-1]
     values: tuple[Any, ...] = ()
@@ -351,6 +333,6 @@ def stack_leaves(system: Any, parts: tuple[int, ...]) -> Any:
     return jax.tree.map(lambda leaf: np.full(parts, leaf, float), system) if parts else system
 
 
-def unit_step(system: Flow, solver: diffrax.AbstractSolver) -> GeneralStrobe:
+def unit_step(system: Flow, solver: Any) -> GeneralStrobe:
     """One step as long as the unit of time, of a flow without a clock."""
     return GeneralStrobe(system, solver, np.array([0.0, 1.0]), None)

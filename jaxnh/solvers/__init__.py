@@ -1,22 +1,21 @@
-"""Steps: isokinetic splittings and Runge–Kutta methods, all diffrax solvers, methods of Nyström's, and embedded pairs
-with steps of a lane's own, Rodas5P for stiff flows among them.
+"""Steps: isokinetic splittings and Runge–Kutta methods, diffrax solvers by `diffrax_solvers`, methods of Nyström's, and
+embedded pairs with steps of a lane's own, Rodas5P for stiff flows among them.
 """
 
 from jaxnh.solvers.adaptive import ADAPTIVE, AdaptiveMethod
 from jaxnh.solvers.compositions import SPLITTINGS
+from jaxnh.solvers.dormand_prince import dopri5, dopri8
 from jaxnh.solvers.isokinetic import (
     IsokineticSplitting,
     Schedule,
     exact_half_turn,
     half_turn,
-    isokinetic_terms,
     kick,
 )
 from jaxnh.solvers.iterations import Iteration, iteration
 from jaxnh.solvers.nystrom import NYSTROM, Nystrom, nystrom8
-from jaxnh.solvers.projection import ProjectedSolver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
-from jaxnh.solvers.tableaus import RUNGE_KUTTA, dopri5, dopri8, tsit5, tsitouras_papakostas8, verner9, write_out
+from jaxnh.solvers.tableaus import RUNGE_KUTTA, tsit5, tsitouras_papakostas8, verner9
 
 Solver = IsokineticSplitting | WrittenOutRungeKutta | Nystrom | AdaptiveMethod | Iteration
 
@@ -37,7 +36,6 @@ __all__ = [
     "IsokineticSplitting",
     "Iteration",
     "Nystrom",
-    "ProjectedSolver",
     "Schedule",
     "Solver",
     "WrittenOutRungeKutta",
@@ -45,12 +43,10 @@ __all__ = [
     "dopri8",
     "exact_half_turn",
     "half_turn",
-    "isokinetic_terms",
     "iteration",
     "kick",
     "nystrom8",
     "tsit5",
     "tsitouras_papakostas8",
     "verner9",
-    "write_out",
 ]

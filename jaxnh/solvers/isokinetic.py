@@ -9,53 +9,14 @@ Any composition of both keeps |n| = 1 by construction. Compositions of high orde
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from jaxnh.systems.flow import Parameters
-from jaxnh.systems.particle import IsokineticParticle, State
+from jaxnh.systems.particle import IsokineticParticle
 from jaxnh.systems.state import Number, Vector
-
-
-class DriftTerm(diffrax.AbstractTerm):
-    """q' = s(t) n as a diffrax term: the vector field is n, the control ∫ s dt."""
-
-    system: IsokineticParticle
-
-    def vf(self, t: Number, y: Vector, args: Parameters) -> Vector:
-        return y
-
-    def contr(self, t0: Number, t1: Number, **kwargs: Parameters) -> Array:
-        return self.system.path_length(jnp.asarray(t0), jnp.asarray(t1))
-
-    def prod(self, vf: Vector, control: Number) -> Vector:
-        return tuple(control * v for v in vf)
-
-
-class KickTerm(diffrax.AbstractTerm):
-    """F/s at a frozen time as a diffrax term; the solver turns n by it. `args` are the lane's parameters."""
-
-    system: IsokineticParticle
-
-    def vf(self, t: Number, y: Vector, args: Parameters) -> Vector:
-        weight = 1.0 / self.system.speed(t)
-        return self.system.force(y, self.system.forcing(t) * weight, weight, args)
-
-    def contr(self, t0: Number, t1: Number, **kwargs: Parameters) -> Number:
-        return t1 - t0
-
-    def prod(self, vf: Vector, control: Number) -> Vector:
-        return tuple(control * v for v in vf)
-
-
-def isokinetic_terms(system: IsokineticParticle) -> tuple[DriftTerm, KickTerm]:
-    """The two terms that an `IsokineticSplitting` integrates."""
-    return DriftTerm(system), KickTerm(system)
 
 
 class Schedule(NamedTuple):
@@ -103,8 +64,8 @@ def kick(n: Vector, f: Vector, tau: Callable[[Number], tuple[Number, Number]] = 
     return tuple(scale * mi - ni for ni, mi in zip(n, m, strict=True))
 
 
-class IsokineticSplitting(diffrax.AbstractSolver):
-    """A symmetric composition of drifts and kicks as a diffrax solver, for constant steps.
+class IsokineticSplitting(eqx.Module):
+    """A symmetric composition of drifts and kicks, for constant steps.
 
     Attributes:
         drifts: stages + 1 fractions of the step, summing to one.
@@ -114,8 +75,8 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         source: where the coefficients come from.
         processor: drifts (one more) and kicks, fractions of the step that sum to zero, of a processed method (Blanes,
             Casas and Murua, SIAM J. Sci. Comput. 27 (2006) 1817); without one, of no stages. Its order is that of
-            processor, steps, inverse of the processor: `sequence`. Its steps alone, and so `diffeqsolve`, have order
-            two; `maps.build` puts the processor before the first step of a map and its inverse after the last.
+            processor, steps, inverse of the processor: `sequence`. Its steps alone have order two; `maps.build` puts
+            the processor before the first step of a map and its inverse after the last.
     """
 
     drifts: tuple[float, ...] = eqx.field(static=True)
@@ -125,16 +86,10 @@ class IsokineticSplitting(diffrax.AbstractSolver):
     source: str = eqx.field(static=True)
     processor: tuple[tuple[float, ...], tuple[float, ...]] = eqx.field(static=True, default=((0.0,), ()))
 
-    term_structure: ClassVar = (diffrax.AbstractTerm, diffrax.AbstractTerm)
-    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
-
     @property
     def stages(self) -> int:
         """Kicks, that is forces, a step."""
         return len(self.kicks)
-
-    def order(self, terms: tuple[DriftTerm, KickTerm]) -> int:
-        return 2 if self.processor[1] else self.convergence_order
 
     @property
     def processed(self) -> bool:
@@ -160,13 +115,6 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         places = [before, at.ravel(), steps + before[::-1]]
         return np.concatenate(places), np.concatenate([kicks, np.tile(self.kicks, steps), -kicks[::-1]])
 
-    def init(self, terms: tuple[DriftTerm, KickTerm], t0: Number, t1: Number, y0: State, args: Parameters) -> None:
-        return None
-
-    def func(self, terms: tuple[DriftTerm, KickTerm], t0: Number, y0: State, args: Parameters) -> State:
-        drift, kick = terms
-        return drift.vf(t0, y0[1], args), kick.vf(t0, y0[0], args)
-
     def nodes(self, t0: Number, t1: Number) -> Number:
         """Ends of the drifts of a step from t0 to t1; (...,) in, (..., stages + 2) out. Kicks are at the inner ones."""
         fractions = np.concatenate([[0.0], np.cumsum(self.drifts)[:-1], [1.0]])
@@ -178,27 +126,3 @@ class IsokineticSplitting(diffrax.AbstractSolver):
         weight = (t1 - t0)[..., None] * np.asarray(self.kicks) / system.speed(nodes[..., 1:-1])
         forcing = system.forcing(nodes[..., 1:-1]) * weight
         return Schedule(system.path_length(nodes[..., :-1], nodes[..., 1:]), weight, forcing)
-
-    def step(
-        self,
-        terms: tuple[DriftTerm, KickTerm],
-        t0: Number,
-        t1: Number,
-        y0: State,
-        args: Parameters,
-        solver_state: None,
-        made_jump: Number,
-    ) -> tuple[State, None, dict[str, State], None, diffrax.RESULTS]:
-        """One step of every lane."""
-        del solver_state, made_jump
-        drift_term, kick_term = terms
-        nodes = self.nodes(jnp.asarray(t0), jnp.asarray(t1))
-        q, n = y0
-        for i, fraction in enumerate((*self.kicks, None)):
-            path = drift_term.vf_prod(nodes[i], n, args, drift_term.contr(nodes[i], nodes[i + 1]))
-            q = tuple(qi + pi for qi, pi in zip(q, path, strict=True))
-            if fraction is not None:
-                control = kick_term.contr(nodes[i + 1], nodes[i + 1] + fraction * (t1 - t0))
-                n = kick(n, kick_term.vf_prod(nodes[i + 1], q, args, control))
-        y1 = (q, n)
-        return y1, None, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful

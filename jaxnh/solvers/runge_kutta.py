@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -39,11 +38,10 @@ class PairStep(NamedTuple):
     gained: Numbers
 
 
-class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
-    """Any explicit diffrax tableau, with its embedded error estimate, stages written out.
+class WrittenOutRungeKutta(ExplicitMethod):
+    """An explicit tableau with its embedded error estimate, stages written out.
 
-    The state may be any pytree. Nothing is carried from step to step (no FSAL); what only the error estimate or the
-    interpolation needs is removed by XLA where they are not read.
+    The state may be any pytree. Nothing is carried from step to step (no FSAL).
 
     Attributes:
         b_error: weights of the error estimate, one a stage.
@@ -54,36 +52,10 @@ class WrittenOutRungeKutta(ExplicitMethod, diffrax.AbstractAdaptiveSolver):
     b_error: tuple[float, ...] = eqx.field(static=True)
     rolled: bool | None = eqx.field(static=True, default=None)
 
-    term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar = diffrax.ThirdOrderHermitePolynomialInterpolation
-
     @property
     def stages(self) -> int:
         """Evaluations of the vector field that the solution needs, a step."""
         return sum(1 for i in range(len(self.b)) if self.b[i] or any(i < len(row) and row[i] for row in self.a))
-
-    def order(self, terms: Any) -> int:
-        return self.convergence_order
-
-    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> None:
-        return None
-
-    def func(self, terms: diffrax.AbstractTerm, t0: Any, y0: Any, args: Any) -> Any:
-        return terms.vf(t0, y0, args)
-
-    def step(
-        self, terms: diffrax.AbstractTerm, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
-    ) -> tuple[Any, Any, dict[str, Any], None, diffrax.RESULTS]:
-        """One step; the third value carries what third-order Hermite interpolation needs."""
-        del solver_state, made_jump
-        h = terms.contr(t0, t1)
-        stages = self._stages(
-            lambda i, y: terms.vf(t0 + self.c[i] * (t1 - t0), y, args), h, y0, len(self.b), terms.prod
-        )
-        y1 = combine(y0, self.b, stages)
-        error = combine(None, self.b_error, stages)
-        end = terms.prod(terms.vf(t1, y1, args), h)
-        return y1, error, {"y0": y0, "y1": y1, "k0": stages[0], "k1": end}, None, diffrax.RESULTS.successful
 
     def pair_step(self, field: Callable[[Any, Numbers], Numbers], t: Any, h: Any, y: Numbers) -> PairStep:
         """One step with its error estimate.

@@ -4,25 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import diffrax
 import numpy as np
-from diffrax import ButcherTableau
 
+from jaxnh.solvers.dormand_prince import dopri5, dopri8
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
-
-
-def write_out(tableau: ButcherTableau, order: int, name: str, source: str) -> WrittenOutRungeKutta:
-    """The written-out solver of an explicit diffrax tableau."""
-    rows = ((), *(tuple(np.asarray(row).tolist()) for row in tableau.a_lower))
-    return WrittenOutRungeKutta(
-        a=rows,
-        b=tuple(np.asarray(tableau.b_sol).tolist()),
-        b_error=tuple(np.asarray(tableau.b_error).tolist()),
-        c=(0.0, *np.asarray(tableau.c).tolist()),
-        convergence_order=order,
-        name=name,
-        source=source,
-    )
 
 
 def _solver_from_rows(
@@ -45,18 +30,32 @@ def _solver_from_rows(
     )
 
 
-dopri8 = write_out(
-    diffrax.Dopri8.tableau, 8, "dopri8", "Prince and Dormand, J. Comput. Appl. Math. 7 (1981) 67, via diffrax"
+tsit5 = WrittenOutRungeKutta(
+    a=(
+        (),
+        (0.161,),
+        (-0.008480655492356989, 0.335480655492357),
+        (2.8971530571054935, -6.359448489975075, 4.3622954328695815),
+        (5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525),
+        (5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383),
+        (0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774),
+    ),
+    b=(0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774, 0.0),
+    b_error=(
+        0.0017800110522257773,
+        0.0008164344596567463,
+        -0.007880878010261994,
+        0.1447110071732629,
+        -0.5823571654525552,
+        0.45808210592918686,
+        -0.015151515151515152,
+    ),
+    c=(0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0),
+    convergence_order=5,
+    name="tsit5",
+    source="Tsitouras, Comput. Math. Appl. 62 (2011) 770",
 )
-"""Dormand–Prince 8(7), thirteen stages and one more for the error estimate."""
-
-tsit5 = write_out(diffrax.Tsit5.tableau, 5, "tsit5", "Tsitouras, Comput. Math. Appl. 62 (2011) 770, via diffrax")
 """Tsitouras 5(4), six stages and one more for the error estimate."""
-
-dopri5 = write_out(
-    diffrax.Dopri5.tableau, 5, "dopri5", "Dormand and Prince, J. Comput. Appl. Math. 6 (1980) 19, via diffrax"
-)
-"""Dormand–Prince 5(4), six stages and one more for the error estimate."""
 
 tsitouras_papakostas8 = _solver_from_rows(
     rows=(

@@ -28,7 +28,8 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import GeneralStrobe
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.plotting import results as figures
-from jaxnh.solvers import SOLVERS, SPLITTINGS, ProjectedSolver
+from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.solvers.diffrax_solvers import ProjectedSolver
 from jaxnh.storage import hdf5 as store
 from jaxnh.systems import flow as flows
 from jaxnh.systems.lagrangian import Motion

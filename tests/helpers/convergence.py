@@ -10,7 +10,8 @@ import numpy as np
 
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, section_map
-from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, isokinetic_terms
+from jaxnh.solvers import SPLITTINGS, IsokineticSplitting
+from jaxnh.solvers.diffrax_solvers import RungeKuttaSolver, SplittingSolver, isokinetic_terms
 from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM_B, CALM_STATES, P
 from tests.flows.particle import twin
@@ -42,11 +43,14 @@ def size(monodromy, slope):
 @functools.cache
 def stock(system, solver):
     """One period of lanes under `diffrax.diffeqsolve` with constant steps: (u, b, dt) to section points."""
-    terms = isokinetic_terms(system) if isinstance(solver, IsokineticSplitting) else diffrax.ODETerm(system.rhs)
+    if isinstance(solver, IsokineticSplitting):
+        terms, steps = isokinetic_terms(system), SplittingSolver(solver)
+    else:
+        terms, steps = diffrax.ODETerm(system.rhs), RungeKuttaSolver(solver)
 
     def lane(u, b, dt):
         solution = diffrax.diffeqsolve(
-            terms, solver, 0.0, system.period, dt, CHART.state(u), args={"b": b}, max_steps=4096, throw=False
+            terms, steps, 0.0, system.period, dt, CHART.state(u), args={"b": b}, max_steps=4096, throw=False
         )
         return CHART.point(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
 

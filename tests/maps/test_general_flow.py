@@ -17,7 +17,8 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import general_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
-from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, ProjectedSolver, dopri8, tsit5
+from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, dopri8, tsit5
+from jaxnh.solvers.diffrax_solvers import DiffraxSteps, ProjectedSolver
 from jaxnh.systems.free_particle import definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import disturbed_speed
@@ -89,7 +90,9 @@ def test_solver_of_diffrax_itself():
     system, start = FLOWS["free"]
     start, p = jax.tree.map(jnp.float64, start), {"b": jnp.float64(4.9)}
     grid = step_grid(system, 100, (0.0, system.period))
-    ours, theirs = (moved(general_strobe(system, solver, grid), start, p) for solver in (dopri8, diffrax.Dopri8()))
+    ours, theirs = (
+        moved(general_strobe(system, solver, grid), start, p) for solver in (dopri8, DiffraxSteps(diffrax.Dopri8()))
+    )
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         assert abs(float(one) - float(other)) < 1e-12
 

@@ -13,7 +13,8 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
-from jaxnh.solvers import SPLITTINGS, isokinetic_terms
+from jaxnh.solvers import SPLITTINGS
+from jaxnh.solvers.diffrax_solvers import SplittingSolver, isokinetic_terms
 from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
 from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, P, image, one_lane, start_states, systems
 from tests.flows.particle import twin
@@ -30,14 +31,14 @@ from tests.helpers.measurement import apart
     "name", ["strang2", pytest.param("blanes_moan6", marks=pytest.mark.slow)]
 )  # the table is made alike for all; compiling more is slow
 def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
-    """The loop over the table of kicks is `IsokineticSplitting.step` under `diffeqsolve`, to rounding."""
+    """The loop over the table of kicks is `SplittingSolver.step` under `diffeqsolve`, to rounding."""
     solver, steps = SPLITTINGS[name], 200
     grid = diffrax.StepTo(step_grid(system, steps, (0.0, system.period)))
 
     def solve(u, b):
         solution = diffrax.diffeqsolve(
             isokinetic_terms(system),
-            solver,
+            SplittingSolver(solver),
             0.0,
             system.period,
             None,

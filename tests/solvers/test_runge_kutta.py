@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnh.solvers import RUNGE_KUTTA
+from jaxnh.solvers.diffrax_solvers import RungeKuttaSolver
 from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM
 from tests.flows.particle import STATES, SYSTEMS, B, twin
@@ -31,10 +32,21 @@ def test_order_under_diffrax(system, solver):
 
 
 @pytest.mark.parametrize("name", OWN)
+def test_tableau_is_that_of_diffrax(name):
+    """Both have it from the article that is named, to the last bit."""
+    ours, theirs = RUNGE_KUTTA[name], OWN[name].tableau
+    for row, other in zip(ours.a[1:], theirs.a_lower, strict=True):
+        np.testing.assert_array_equal(row, other)
+    np.testing.assert_array_equal(ours.c[1:], theirs.c)
+    np.testing.assert_array_equal(ours.b, theirs.b_sol)
+    np.testing.assert_array_equal(ours.b_error, theirs.b_error)
+
+
+@pytest.mark.parametrize("name", OWN)
 def test_step_is_that_of_diffrax(name):
     """State and error estimate of one step, to the rounding of a sum over stages in another order."""
     term = diffrax.ODETerm(SYSTEMS["disturbed"].rhs)
-    solver, own = RUNGE_KUTTA[name], OWN[name]()
+    solver, own = RungeKuttaSolver(RUNGE_KUTTA[name]), OWN[name]()
 
     def step(solver, u, b):
         state = CHART.state(u)
@@ -69,7 +81,7 @@ def test_stages_are_those_the_solution_needs(solver):
     def end(poisoned):
         calls = iter(range(100))
         term = diffrax.ODETerm(lambda t, y, args: np.nan if next(calls) == poisoned else -y)
-        return solver.step(term, 0.0, 0.1, np.float64(1.0), None, None, False)[0]
+        return RungeKuttaSolver(solver).step(term, 0.0, 0.1, np.float64(1.0), None, None, False)[0]
 
     assert sum(np.isnan(end(poisoned)) for poisoned in range(20)) == solver.stages
     assert abs(end(None) - np.exp(-0.1)) < 0.1**solver.convergence_order / 120
@@ -79,7 +91,7 @@ def test_stages_are_those_the_solution_needs(solver):
 @pytest.mark.parametrize("name", ["tsit5", "dopri8"])
 def test_adaptive_steps(name):
     """Under a PID controller: the same steps as diffrax's own, and the tolerance of a step, added up, as the error."""
-    solver = RUNGE_KUTTA[name]
+    solver = RungeKuttaSolver(RUNGE_KUTTA[name])
     system, tolerance = SYSTEMS["disturbed"], 1e-9
     exact = taylor.strobe(twin(system), B, STATES)
 
