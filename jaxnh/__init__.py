@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import PortraitOptions as Portrait
     from jaxnh.analyses.options import ReversalOptions as Reversal
     from jaxnh.analyses.options import RotationOptions as Rotation
+    from jaxnh.analyses.options import ToriOptions as Tori
     from jaxnh.analyses.options import TransientsOptions as Transients
     from jaxnh.analyses.options import VerdictOptions as Verdict
     from jaxnh.analyses.options import WindowsOptions as Windows
@@ -128,6 +129,7 @@ __all__ = [
     "RunError",
     "Session",
     "Stopped",
+    "Tori",
     "Transients",
     "UserFileError",
     "Verdict",

@@ -59,6 +59,7 @@ OPTIONS = {
         "transient": 1,
     },
     "rotation": {"transient": 64, "periods": 128},
+    "tori": {"transient": 64, "periods": 128},
 }
 
 
@@ -427,6 +428,7 @@ MOEBIUS = {
     "covariant": exponents(moebius_exponents),
     "transients": nothing_leaves,
     "rotation": rotation(moebius_periods),
+    "tori": words("none"),
 }
 IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
@@ -477,6 +479,7 @@ def particle(names, rates=paper_equations.at_speed):
         "covariant": words("regular"),
         "transients": nothing_leaves,
         "rotation": rotation(lambda values: np.where(values["b"] > first_doubling(), 1, 2)),
+        "tori": words("none"),
     }
 
 
@@ -606,6 +609,7 @@ KINDS = {
             "covariant": exponents(lambda values: (-values["damping"], -values["damping"])),
             "transients": nothing_leaves,
             "rotation": rotation(),
+            "tori": words("none"),
         },
         constrained_oscillators.SLIDE,
         starts_between("x", -0.5, 0.5),
@@ -638,6 +642,7 @@ KINDS = {
             "covariant": exponents(lambda values: (-values["damping"], -values["damping"])),
             "transients": nothing_leaves,
             "rotation": rotation(),
+            "tori": words("none"),
         },
         constrained_oscillators.NEEDLE,
         starts_between("w", -0.1, 0.1),
@@ -675,6 +680,7 @@ KINDS = {
             "covariant": "angles are between directions of the map, and it has one alone",
             "transients": nothing_leaves,
             "rotation": rotation(),
+            "tori": "a curve on a map of one direction has nothing normal to it",
         },
         constrained_oscillators.CYCLE,
         {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}}
@@ -703,6 +709,7 @@ KINDS = {
             "covariant": words("regular"),
             "transients": nothing_leaves,
             "rotation": rotation(),
+            "tori": words("none"),
         },
         options=starts_between("x1", -0.2, 0.2),
     ),
@@ -731,6 +738,7 @@ KINDS = {
             "covariant": words("hyperbolic", "pseudohyperbolic", "tangent", "undecided"),
             "transients": nothing_leaves,
             "rotation": words("unconverged", "no_rotation", "unlocked"),
+            "tori": words("none", "neutral", "undecided"),
         },
         options={"doubling": {"levels": 1, "search": False}} | starts_between("x1", 0.0, 0.2),
     ),

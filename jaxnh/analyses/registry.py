@@ -11,6 +11,7 @@ from jaxnh.analyses.orbits import orbits
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.reversal import reversal
 from jaxnh.analyses.rotation import rotation
+from jaxnh.analyses.tori import tori
 from jaxnh.analyses.trajectories import diagram, poincare, portrait
 from jaxnh.analyses.transients import transients
 from jaxnh.analyses.windows import windows
@@ -33,6 +34,7 @@ _MODULES = (
     covariant,
     transients,
     rotation,
+    tori,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}

@@ -115,6 +115,10 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("repeller_exponents",),
         lambda _: _Description("curves", ("distance", "overlap"), (), "distance and overlap", "0 1"),
     ),
+    "tori": (
+        ("growth", "harmonics"),
+        lambda data: _plane(data, "trajectories", "theta"),
+    ),
     "rotation": (
         ("rotation", "denominator"),
         lambda _: _Description("curves", ("rotation",), (), "rotation number", "none"),

@@ -8,6 +8,7 @@ from jaxnh.analyses.options.chaos import (
     LyapunovOptions,
     ReversalOptions,
     RotationOptions,
+    ToriOptions,
     TransientsOptions,
     VerdictOptions,
 )
@@ -41,6 +42,7 @@ OPTIONS: dict[str, type[Options]] = {
         CovariantOptions,
         TransientsOptions,
         RotationOptions,
+        ToriOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

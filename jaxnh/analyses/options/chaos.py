@@ -59,6 +59,25 @@ class RotationOptions(Options):
     )
 
 
+class ToriOptions(Options):
+    """Options of `tori`."""
+
+    transient: int = Field(default=256, ge=1, description="Periods, or crossings, before points of the motion are kept")
+    periods: int = Field(default=2048, ge=128, description="Points that the first curve of a lane is made of")
+    harmonics: int = Field(default=128, ge=8, le=512, description="Largest number of harmonics of a curve")
+    points: int = Field(default=128, ge=16, le=4096, description="Points of each curve that are kept")
+    max_denominator: int = Field(
+        default=64, ge=1, le=1024, description="Largest denominator of fractions that a motion may be locked to"
+    )
+    plane: Annotated[tuple[str, str], Field(strict=False)] | None = Field(
+        default=None,
+        description="Coordinates of the plane in which the angle is taken; by default an angle of the system",
+    )
+    centre: Side | None = Field(
+        default=None, description="Values of the two coordinates about which the angle is taken; by default their means"
+    )
+
+
 class ReversalOptions(Options):
     """Options of `reversal`."""
 

@@ -1,0 +1,349 @@
+"""Invariant curves of return maps by Fourier collocation: tori of the flow, attracting or not. Host code.
+
+A curve K over the circle is carried to itself as a rotation, P(K(θ)) = K(θ + ρ), θ and ρ in turns (Schilder, Osinga and
+Vogt, SIAM J. Appl. Dyn. Syst. 4 (2005) 459). Unknown are its values at N = 2m + 1 even nodes, between which it is a
+trigonometric polynomial, and ρ; the phase of θ is fixed against the curve before. Where curves come in a family, as on
+tori of a conservative flow, Newton takes the nearest one. Coordinates that are angles may wind: K_j(θ) = 2π w_j θ +
+what is periodic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+from scipy.linalg import lstsq
+
+from jaxnh.analyses.rotation.averages import birkhoff_average
+from jaxnh.analyses.smooth_window import window_weights
+from jaxnh.orbits.newton import Images
+from jaxnh.systems.chart import Wrap
+
+_TURN = 2 * np.pi
+_NEWTON_STEPS = 12
+_AT_REST = 1e-9  # step, in sizes of the curve, after which one more reaches rounding
+_CONTRACTION = 0.5  # of successive steps, at least
+_RESOLVED = 1e-10  # of the size of the curve: largest coefficient in the last quarter of the harmonics
+_FEWEST = 8  # harmonics
+_FLOOR = 1e-12  # of the largest coefficient: what is less is rounding, and tells no rate of decay
+_TINY = np.finfo(float).tiny
+_DROPPED = 1e-13  # singular values of Newton's matrix, of the largest: along the family of curves
+
+
+@dataclass(frozen=True)
+class InvariantCurve:
+    """A closed curve.
+
+    Attributes:
+        points: K at the nodes i/N, coordinates that go on along the curve, (N, d).
+        winding: whole turns of each coordinate along the curve, (d,).
+        rotation: ρ, in turns.
+    """
+
+    points: Float[np.ndarray, "N d"]
+    winding: Int[np.ndarray, " d"]
+    rotation: float
+
+    @property
+    def harmonics(self) -> int:
+        """Number of harmonics."""
+        return len(self.points) // 2
+
+    @property
+    def coefficients(self) -> Complex[np.ndarray, "m d"]:
+        """Fourier coefficients of the periodic part, of harmonics 0 to m."""
+        return np.fft.rfft(self._periodic, axis=0) / len(self.points)
+
+    @property
+    def size(self) -> Float[np.ndarray, " d"]:
+        """Size in each coordinate: 1 where the curve winds, else half its width; of one that rests, the largest."""
+        width = 0.5 * np.ptp(self._periodic, axis=0)
+        largest = max(np.max(width), _TINY)
+        return np.where(self.winding != 0, 1.0, np.where(width > 1e-9 * largest, width, largest))
+
+    @property
+    def _periodic(self) -> Float[np.ndarray, "N d"]:
+        return self.points - _TURN * _nodes(len(self.points))[:, None] * self.winding
+
+    def at(self, theta: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points d"]:
+        """Return the points at these θ, in turns."""
+        return _polynomial(self.coefficients, theta) + _TURN * theta[:, None] * self.winding
+
+    def tangents(self, theta: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points d"]:
+        """Return dK/dθ, a turn."""
+        wave = 2j * np.pi * np.arange(self.harmonics + 1)[:, None]
+        return _polynomial(wave * self.coefficients, theta) + _TURN * self.winding
+
+    def with_harmonics(self, m: int) -> InvariantCurve:
+        """Return the curve with so many harmonics, those beyond its own zero."""
+        return replace(self, points=self.at(_nodes(2 * m + 1)))
+
+
+class CurveQuality(NamedTuple):
+    """What is known of a solution.
+
+    Attributes:
+        converged: whether Newton has come to rest and all that matters is resolved.
+        rotation_error: of ρ, by what the nodes miss and by errors of the map.
+        residual: largest |P(K(θ)) − K(θ + ρ)| between the nodes, in sizes of the curve.
+        decay: rate at which coefficients fall with the harmonic, the width in rad of the strip about the real axis in
+            which the curve is analytic; NaN where too few are above rounding.
+        matrices: ∂P/∂u at the nodes, (N, d, d).
+    """
+
+    converged: bool
+    rotation_error: float
+    residual: float
+    decay: float
+    matrices: Float[np.ndarray, "N d d"]
+
+
+def _nodes(count: int) -> Float[np.ndarray, " N"]:
+    return np.arange(count) / count
+
+
+def _polynomial(
+    coefficients: Complex[np.ndarray, "m d"], theta: Float[np.ndarray, " points"]
+) -> Float[np.ndarray, "points d"]:
+    k = np.arange(len(coefficients))
+    waves = np.where(k > 0, 2.0, 1.0) * np.exp(2j * np.pi * np.outer(theta % 1.0, k))
+    return np.real(waves @ coefficients)
+
+
+def curve_through(
+    u: Float[np.ndarray, "points d"], rotation: float, m: int, angles: Bool[np.ndarray, " d"]
+) -> InvariantCurve:
+    """Return the curve of quasiperiodic motion: its coefficients are weighted Birkhoff averages of u_n exp(−2πi k n ρ).
+
+    Args:
+        u: successive points, angles up to whole turns.
+        rotation: ρ.
+        m: harmonics.
+        angles: which coordinates are angles.
+    """
+    count = len(u)
+    theta = (np.arange(count) * rotation) % 1.0
+    order = np.argsort(theta)
+    u = np.array(u)
+    unwrapped = np.unwrap(np.concatenate([u[order], u[order[:1]]])[:, angles], axis=0)
+    winding = np.zeros(u.shape[1], np.int64)
+    winding[angles] = np.rint((unwrapped[-1] - unwrapped[0]) / _TURN)
+    u[np.ix_(order, angles)] = unwrapped[:-1]
+    periodic = u - _TURN * theta[:, None] * winding
+    weights = window_weights((np.arange(count) + 0.5) / count)
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(m + 1), theta))
+    coefficients = (waves * weights) @ periodic / np.sum(weights)
+    nodes = _nodes(2 * m + 1)
+    return InvariantCurve(_polynomial(coefficients, nodes) + _TURN * nodes[:, None] * winding, winding, rotation)
+
+
+def solve_curves(
+    images: Images,
+    curves: dict[int, InvariantCurve],
+    most: int,
+    error: Float[np.ndarray, " d"] | float,
+    wrap: Wrap,
+) -> dict[int, tuple[InvariantCurve, CurveQuality]]:
+    """Newton on the curves of many lanes at once, each with as many harmonics as it needs; lanes wait for no others.
+
+    Args:
+        images: P and ∂P/∂u at points of lanes.
+        curves: where to begin, by the number of the lane.
+        most: harmonics at most.
+        error: of the map, that of ρ grows from, in the units of each coordinate.
+        wrap: of differences of section coordinates.
+
+    Returns:
+        Of every lane the last curve, and whether it is a solution.
+    """
+    solved: dict[int, tuple[InvariantCurve, CurveQuality]] = {}
+    current = {lane: curve.with_harmonics(max(_FEWEST, curve.harmonics)) for lane, curve in curves.items()}
+    while current:
+        rested = _come_to_rest(images, current, wrap)
+        checked = _between_nodes(images, rested, error, wrap)
+        current = {}
+        for lane, (curve, quality) in checked.items():
+            m = curve.harmonics
+            if quality.converged and not _resolved(curve) and 2 * m <= most:
+                current[lane] = curve.with_harmonics(2 * m)
+            else:
+                solved[lane] = curve, quality._replace(converged=quality.converged and _resolved(curve))
+    return solved
+
+
+def _resolved(curve: InvariantCurve) -> bool:
+    last = np.abs(curve.coefficients[-max(2, curve.harmonics // 4) :])
+    return bool(np.max(last / curve.size) <= _RESOLVED)
+
+
+def _asked(
+    images: Images, curves: dict[int, InvariantCurve], shift: float
+) -> dict[int, tuple[Float[np.ndarray, "N d"], Float[np.ndarray, "N d d"]]]:
+    """Return images and derivatives at the nodes of all curves, moved by so many of their distances."""
+    places = {lane: _nodes(len(curve.points)) + shift / len(curve.points) for lane, curve in curves.items()}
+    u = np.concatenate([curve.at(places[lane]) for lane, curve in curves.items()])
+    lane = np.repeat(np.array(list(curves), np.int64), [len(theta) for theta in places.values()])
+    at = images(u, lane)
+    image, matrices = np.asarray(at.image), np.asarray(at.monodromy)
+    return {number: (image[lane == number], matrices[lane == number]) for number in curves}
+
+
+def _come_to_rest(
+    images: Images, curves: dict[int, InvariantCurve], wrap: Wrap
+) -> dict[int, tuple[InvariantCurve, bool]]:
+    """Return the curves after steps of Newton, and whether these came to nothing."""
+    ended: dict[int, tuple[InvariantCurve, bool]] = {}
+    length = dict.fromkeys(curves, np.inf)
+    for _ in range(_NEWTON_STEPS):
+        if not curves:
+            break
+        going: dict[int, InvariantCurve] = {}
+        for lane, (image, matrices) in _asked(images, curves, 0.0).items():
+            curve, last = curves[lane], length[lane]
+            missing, matrix = _system(curve, image, matrices, wrap)
+            if not (np.isfinite(missing).all() and np.isfinite(matrix).all()):
+                ended[lane] = curve, False
+                continue
+            step = _least_squares(matrix, missing)
+            moved = replace(
+                curve,
+                points=curve.points + step[:-1].reshape(curve.points.shape) * curve.size,
+                rotation=curve.rotation + step[-1],
+            )
+            length[lane] = float(np.max(np.abs(step)))
+            if last <= _AT_REST or length[lane] <= 1e-3 * _AT_REST:
+                ended[lane] = moved, True
+            elif length[lane] > _CONTRACTION * last:
+                ended[lane] = curve, False
+            else:
+                going[lane] = moved
+        curves = going
+    return ended | {lane: (curve, False) for lane, curve in curves.items()}
+
+
+def _system(
+    curve: InvariantCurve, image: Float[np.ndarray, "N d"], matrices: Float[np.ndarray, "N d d"], wrap: Wrap
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n n"]]:
+    """Return minus the residual and Newton's matrix, of points in sizes of the curve and ρ; the phase is last."""
+    count, d = curve.points.shape
+    size, nodes = curve.size, _nodes(count)
+    there = nodes + curve.rotation
+    missing = wrap(curve.at(there) - image) / size
+    matrix = np.zeros((count * d + 1, count * d + 1))
+    blocks = matrix[:-1, :-1].reshape(count, d, count, d)
+    every = np.arange(count)
+    blocks[every, :, every, :] = matrices * size / size[:, None]
+    shift = _dirichlet(nodes[:, None] - nodes + curve.rotation, count)
+    for j in range(d):
+        blocks[:, j, :, j] -= shift
+    matrix[:-1, -1] = -(curve.tangents(there) / size).ravel()
+    matrix[-1, :-1] = (curve.tangents(nodes) / size).ravel() / count
+    return np.append(missing.ravel(), 0.0), matrix
+
+
+def _least_squares(matrix: Float[np.ndarray, "n n"], right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return the shortest solution, which goes along no family of curves."""
+    solution, *_ = lstsq(matrix, right, cond=_DROPPED, lapack_driver="gelsy") or (right,)
+    return np.asarray(solution)
+
+
+def _dirichlet(x: Float[np.ndarray, ...], count: int) -> Float[np.ndarray, ...]:
+    """Return the trigonometric polynomial of an odd number of nodes that is 1 at 0 and 0 at the others."""
+    sine = np.sin(np.pi * x)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = np.sin(np.pi * count * x) / (count * sine)
+    return np.where(np.abs(sine) < 1e-14, 1.0, value)
+
+
+def _between_nodes(
+    images: Images,
+    rested: dict[int, tuple[InvariantCurve, bool]],
+    error: Float[np.ndarray, " d"] | float,
+    wrap: Wrap,
+) -> dict[int, tuple[InvariantCurve, CurveQuality]]:
+    """Return the curves with their quality, from the residual half-way between the nodes."""
+    curves = {lane: curve for lane, (curve, at_rest) in rested.items() if at_rest}
+    checked: dict[int, tuple[InvariantCurve, CurveQuality]] = {}
+    if curves:
+        nodes, between = _asked(images, curves, 0.0), _asked(images, curves, 0.5)
+        for lane, curve in curves.items():
+            checked[lane] = curve, _quality(curve, *nodes[lane], between[lane][0], error, wrap)
+    for lane, (curve, at_rest) in rested.items():
+        if not at_rest:
+            count, d = curve.points.shape
+            unknown = CurveQuality(False, np.nan, np.nan, np.nan, np.full((count, d, d), np.nan))
+            checked[lane] = curve, unknown
+    return checked
+
+
+def _quality(
+    curve: InvariantCurve,
+    image: Float[np.ndarray, "N d"],
+    matrices: Float[np.ndarray, "N d d"],
+    image_between: Float[np.ndarray, "N d"],
+    error: Float[np.ndarray, " d"] | float,
+    wrap: Wrap,
+) -> CurveQuality:
+    missing, matrix = _system(curve, image, matrices, wrap)
+    count, size = len(curve.points), curve.size
+    halfway = _nodes(count) + 0.5 / count
+    between = wrap(curve.at(halfway + curve.rotation) - image_between) / size
+    if not (np.isfinite(between).all() and np.isfinite(matrix).all()):
+        return CurveQuality(False, np.nan, np.nan, np.nan, matrices)
+    unit = np.zeros(len(missing))
+    unit[-1] = 1.0
+    row = np.abs(_least_squares(matrix.T, unit)[:-1]).reshape(between.shape)
+    rounding = 8.0 * np.finfo(float).eps * (1.0 + np.max(np.abs(curve.points), axis=0) / size)
+    missed = np.maximum(np.abs(between), np.abs(missing[:-1].reshape(between.shape)))
+    rotation_error = float(np.sum(row * (missed + (error / size + rounding))))
+    return CurveQuality(True, rotation_error, float(np.max(np.abs(between))), _decay(curve), matrices)
+
+
+def _decay(curve: InvariantCurve) -> float:
+    """Return the rate at which the largest of a coefficient and all beyond it falls, by a straight line."""
+    largest = np.max(np.abs(curve.coefficients[1:]) / curve.size, axis=1)
+    tail = np.maximum.accumulate(largest[::-1])[::-1]  # no coefficient beyond is larger
+    k = np.flatnonzero(tail > _FLOOR * tail[0]) + 1.0
+    if len(k) < 4:
+        return np.nan
+    return float(-np.polyfit(k, np.log(tail[: len(k)]), 1)[0])
+
+
+def normal_growth(
+    curve: InvariantCurve, matrices: Float[np.ndarray, "N d d"], k: int, length: int, error: float
+) -> tuple[Float[np.ndarray, " k-1"], Float[np.ndarray, " k-1"]]:
+    """Return the growth of the logarithm of lengths normal to the curve, an iterate, largest first, and its errors.
+
+    Along the curve it is zero. Of two directions the other one has the mean of log |det ∂P/∂u|. Of more, frames go
+    along the orbit θ + nρ, with derivatives between the nodes by their trigonometric polynomial, and the growth
+    nearest to zero is that along the curve; what it differs by is part of the errors.
+
+    Args:
+        matrices: ∂P/∂u at the nodes.
+        k: directions, as many as the flow has exponents on its section.
+        length: points of the orbit that are averaged over; a quarter more come before.
+        error: of the derivatives, relative to their size.
+    """
+    count, d, _ = matrices.shape
+    scaled = matrices * curve.size / curve.size[:, None]
+    values = np.linalg.svd(scaled, compute_uv=False)
+    by_map = (error + 8.0 * np.finfo(float).eps) * np.mean(values[:, 0] / np.maximum(values[:, k - 1], _TINY))
+    if d == k == 2:
+        logs = np.log(np.abs(np.linalg.det(scaled)))
+        spectrum = np.abs(np.fft.rfft(logs)) / count
+        return np.array([np.mean(logs)]), np.array([np.max(spectrum[-(count // 8) :]) + by_map])
+    coefficients = np.fft.rfft(scaled.reshape(count, d * d), axis=0) / count
+    theta = curve.rotation * np.arange(-(length // 4), length)
+    along = _polynomial(coefficients, theta).reshape(-1, d, d)
+    frame = np.linalg.qr(np.random.default_rng(0).normal(size=(d, k)))[0]
+    logs = np.empty((k, len(along)))
+    for n, matrix in enumerate(along):
+        frame, triangle = np.linalg.qr(matrix @ frame)
+        with np.errstate(divide="ignore"):
+            logs[:, n] = np.log(np.abs(np.diagonal(triangle)))
+    average = birkhoff_average(logs[:, length // 4 :])
+    tangent = np.argmin(np.abs(average.value))
+    missed = np.abs(average.value[tangent]) + by_map
+    return np.delete(average.value, tangent), np.delete(average.error, tangent) + missed

@@ -1,0 +1,164 @@
+"""Invariant curves against closed forms: skew products, a torus about a circle, and curves by iteration of the map."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.exceptions import InputError
+
+TURN = 2 * math.pi
+GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+def kinds(data):
+    return jaxnh.labels(data["kind"]).to_numpy().ravel().tolist()
+
+
+def skew(c=0.5, e=0.3, k=0.0):
+    """x -> x + 2 pi g, and two coordinates that it drives: w = Im(exp(ix)/(exp(2 pi i g) - c)) is invariant for k = 0."""
+
+    def image(y):
+        x, w, z = y
+        return x + TURN * GOLDEN, c * w + jnp.sin(x) + k * z * w, e * z + jnp.cos(2.0 * x)
+
+    return {"map": image, "coordinates": ("x", "w", "z"), "angles": ("x",)}
+
+
+def bent_circle(mu=0.1, beta=0.3, shear=0.4):
+    """The normal form of a Neimark-Sacker bifurcation, r -> r (1 + mu - r^2), by 0.2345 + beta r^2 turns, and sheared."""
+
+    def image(y):
+        a, b = y[0], y[1] - shear * y[0] * y[0]
+        square = a * a + b * b
+        angle, grown = TURN * (0.2345 + beta * square), 1.0 + mu - square
+        c, s = jnp.cos(angle), jnp.sin(angle)
+        a, b = grown * (c * a - s * b), grown * (s * a + c * b)
+        return a, b + shear * a * a
+
+    return {"map": image, "coordinates": ("a", "b")}
+
+
+def standard(k=0.5):
+    def image(y):
+        momentum = y[1] + k * jnp.sin(y[0])
+        return y[0] + momentum, momentum
+
+    return {"map": image, "coordinates": ("angle", "momentum"), "angles": ("angle",)}
+
+
+def tube(mu=0.1, turns=0.3173):
+    """A torus about the circle of radius 2: distance to it by a' = mu a - a^3 and a' turned, while it is gone round."""
+
+    def rhs(y, t):
+        x, z, h = y
+        radius = jnp.sqrt(x * x + z * z)
+        out, square = radius - 2.0, (radius - 2.0) ** 2 + h * h
+        grown = mu - square
+        outwards, up = grown * out - turns * h, turns * out + grown * h
+        return (x * outwards / radius - z, z * outwards / radius + x, up)
+
+    return {"rhs": rhs, "coordinates": ("x", "z", "h")}
+
+
+def test_skew_product():
+    """Points, rotation number and both multipliers in closed form, where the curve attracts, repels, and between."""
+    session = jaxnh.Session(skew, start={"x": 0.1})
+    data = session.run(jaxnh.Tori(points=32), c=np.array([0.3, 0.9, 1.2, 2.0]))
+    assert kinds(data) == ["attracting", "attracting", "saddle", "saddle"]
+    assert jaxnh.labels(data["motion"]).to_numpy()[-1] == "failed"  # the curve is that of a neighbour, followed
+    c = data["c"].to_numpy()
+    exact = np.imag(np.exp(1j * data["x"].to_numpy()) / (np.exp(1j * TURN * GOLDEN) - c[:, None]))
+    assert np.abs(data["w"] - exact).max() < 1e-12
+    assert np.all(np.abs(data["rotation"] - GOLDEN) < data["rotation_error"])
+    growth = np.sort(np.log(np.stack([c, 0 * c + 0.3])), axis=0)[::-1].T
+    missed = np.abs(data["growth"] - growth)
+    assert np.all(missed < data["growth_error"])
+    assert data["growth_error"].max() < 1e-9
+
+
+def test_normal_form():
+    """ρ = 0.2345 + β μ and ln(1 − 2 μ) on a circle that a shear bends."""
+    data = jaxnh.Session(bent_circle, start={"a": 0.2, "b": 0.1}).run(jaxnh.Tori(), mu=np.linspace(0.02, 0.3, 6))
+    mu = data["mu"].to_numpy()
+    assert kinds(data) == ["attracting"] * 6
+    assert np.all(np.abs(data["rotation"] - (0.2345 + 0.3 * mu)) < data["rotation_error"])
+    assert np.all(np.abs(data["growth"][:, 0] - np.log(1.0 - 2.0 * mu)) < data["growth_error"][:, 0])
+    a, b = data["a"].to_numpy(), data["b"].to_numpy()
+    assert np.abs(a * a + (b - 0.4 * a * a) ** 2 - mu[:, None]).max() < 1e-13
+
+
+def test_curves_by_iteration():
+    """A curve without a formula: its points after 200 iterates are where the rotation number says, and it is neutral."""
+    data = jaxnh.Session(standard, start={"angle": 0.0, "momentum": 3.883222}).run(
+        jaxnh.Tori(points=66), k=np.array([0.3, 0.6])
+    )
+    assert kinds(data) == ["neutral", "neutral"]
+    for lane, k in enumerate(data["k"].to_numpy()):
+        angle, momentum = (data[name].to_numpy()[lane, :-1] for name in ("angle", "momentum"))
+        theta = data["theta"].to_numpy()[:-1]
+        periodic = np.stack([np.unwrap(angle) - TURN * theta, momentum])
+        for _ in range(200):
+            momentum = momentum + k * np.sin(angle)
+            angle = angle + momentum
+        turned = theta + 200 * float(data["rotation"][lane])
+        waves = np.exp(2j * np.pi * np.outer(np.fft.fftfreq(65, 1 / 65), turned))
+        there = np.real(np.fft.fft(periodic, axis=1) / 65 @ waves)
+        gap = (angle - TURN * turned - there[0] + np.pi) % TURN - np.pi
+        assert max(np.abs(gap).max(), np.abs(momentum - there[1]).max()) < 1e-8
+
+
+def test_torus_of_a_flow():
+    """On a section: turns and contraction of a tube in closed form."""
+    session = jaxnh.Session(tube, start={"x": 2.2}, target=1e-6).on("z", 0.0, "up")
+    data = session.run(jaxnh.Tori(transient=64, periods=512), mu=np.array([0.1, 0.2]))
+    mu = data["mu"].to_numpy()
+    assert kinds(data) == ["attracting", "attracting"]
+    assert np.all(np.abs(data["rotation"] - 0.3173) < data["rotation_error"])
+    assert np.all(np.abs(data["growth"][:, 0] + 2.0 * TURN * mu) < data["growth_error"][:, 0])
+    radius = np.hypot(data["x"] - 2.0, data["h"])
+    assert np.abs(radius - np.sqrt(mu)[:, None]).max() < 1e-6
+
+
+def test_what_has_no_curve():
+    """Locked motion has none, nor has chaos; the reason is in `motion`."""
+    data = jaxnh.Session(standard, start={"angle": 3.0, "momentum": 0.1}).run(
+        jaxnh.Tori(transient=16, periods=256), k=np.array([5.0])
+    )
+    assert kinds(data) == ["none"]
+    assert np.isnan(data["rotation"]).all()
+    assert (data["harmonics"] == 0).all()
+
+
+def test_one_direction_is_refused():
+    def circle(omega=0.5):
+        return {"map": lambda y: (y[0] + omega,), "coordinates": ("x",), "angles": ("x",)}
+
+    with pytest.raises(InputError, match="nothing normal to it; take rotation"):
+        jaxnh.Session(circle, start={"x": 0.1}).run(jaxnh.Tori(), omega=np.array([1.0]))
+
+
+@pytest.mark.slow
+def test_forced_van_der_pol():
+    """Against averages over motions: the rotation number of `rotation`, and exponents of `lyapunov`."""
+
+    def forced(mu=0.5, drive=0.2, omega=1.1):
+        def rhs(y, t):
+            x, v = y
+            return v, mu * (1 - x * x) * v - x + drive * jnp.cos(omega * t)
+
+        return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / omega}
+
+    session, drive = jaxnh.Session(forced, start={"x": 1.0}), np.linspace(0.05, 0.4, 8)
+    data = session.run(jaxnh.Tori(), drive=drive)
+    turns = session.run(jaxnh.Rotation(), drive=drive)
+    exponents = session.run(jaxnh.Lyapunov(periods=4000), drive=drive)
+    assert kinds(data) == ["attracting"] * 8
+    assert np.all(np.abs(data["rotation"] - turns["rotation"]) < data["rotation_error"] + turns["rotation_error"])
+    period = TURN / 1.1
+    missed = np.abs(data["growth"][:, 0] - period * exponents["exponents"][:, 1])
+    assert np.all(missed < data["growth_error"][:, 0] + period * exponents["exponents_error"][:, 1])
