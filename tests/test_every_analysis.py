@@ -49,7 +49,7 @@ OPTIONS = {
     "curves": {"max_period": 2, "transient": 64},
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
-    "orbits": {"max_period": 2, "transient": 64, "rounds": 4},
+    "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256},
     "covariant": {"transient": 64, "strobes": 256},
     "transients": {
         "n_starts": 16,

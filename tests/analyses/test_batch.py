@@ -124,7 +124,9 @@ def test_a_dataset_says_what_it_is(lanes, name):
         data = groups[name]
     for key, group in groups.items():
         contract.check(key, group)
-    assert LANE in left.dims or not analysis.independent(analysis.options())  # along a line some have lanes, others rows
+    assert LANE in left.dims or not analysis.independent(
+        analysis.options()
+    )  # along a line some have lanes, others rows
 
 
 @pytest.mark.slow

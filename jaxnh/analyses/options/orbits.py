@@ -115,6 +115,11 @@ class OrbitsOptions(Options):
     box: dict[str, Side] = Field(
         default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
     )
+    attractor: int | None = Field(
+        default=None,
+        ge=256,
+        description="Points of a motion, by which orbits are told to lie in its attractor; by default not asked",
+    )
 
     @model_validator(mode="after")
     def _check(self) -> OrbitsOptions:

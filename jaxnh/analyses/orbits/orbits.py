@@ -2,7 +2,8 @@
 
 Lanes settle by themselves; then orbits are sought in all of them together (`search`), so that each is tried with those
 of its neighbours, and measured (`measurement`). How often orbits were met says how many are missing (`missing`), and
-their numbers say how they grow (`entropy`).
+their numbers say how they grow (`entropy`). Where it is asked for, orbits are told to lie in the attractor or not
+(`carriers`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from jaxtyping import Int
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, SweepLanes, SweepReduction, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import OrbitsOptions
+from jaxnh.analyses.orbits.carriers import carrier_variables, place_variables, places_of_orbits
 from jaxnh.analyses.orbits.measurement import measure
 from jaxnh.analyses.orbits.search import WINDOWS, search, search_neighbours
 from jaxnh.analyses.orbits.tables import OWN_NAMES, LaneOrbits, counts_group, counts_table, orbits_group
@@ -71,10 +73,12 @@ def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
                 if len(cycles.lane)
             }
         parts.append(LaneOrbits(numbers, batch, known, measured))
-    return {
-        "orbits": orbits_group(options, lanes, parts, len(u)),
-        "orbit_counts": counts_group(options.max_period, parts, len(u)),
-    }
+    orbits = orbits_group(options, lanes, parts, len(u))
+    if options.attractor is not None:
+        with lanes.stage("orbits: distances from attractors", float(len(u) * options.attractor)):
+            places = [places_of_orbits(part, lanes, u[part.numbers], options.attractor) for part in parts]
+        orbits = orbits.assign(place_variables(parts, places, len(u)) | carrier_variables(parts, places, len(u)))
+    return {"orbits": orbits, "orbit_counts": counts_group(options.max_period, parts, len(u))}
 
 
 def _neighbours(

@@ -25,7 +25,7 @@ from jaxnh.systems.flow import NOT_FINITE, status
 OWN_NAMES = (
     "orbit", "n", "multiplier", "part", "iterate", "period", "time", "time_error", "multipliers", "multipliers_error",
     "index", "stability", "met", "residual", "number", "missing", "missing_low", "missing_high", "entropy",
-    "entropy_error", "rounds", "status",
+    "entropy_error", "rounds", "distance", "place", "least_period", "least_unstable", "carrier", "status",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
@@ -46,7 +46,7 @@ class LaneOrbits(NamedTuple):
     measured: Mapping[int, MeasuredCycles]
 
 
-class _Row(NamedTuple):
+class OrbitRow(NamedTuple):
     """Where orbits of n returns of one batch go: lane and place in it, (cycles,)."""
 
     part: LaneOrbits
@@ -57,15 +57,10 @@ class _Row(NamedTuple):
 
 def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[LaneOrbits], count: int) -> xr.Dataset:
     """Return the variables over (lane, orbit), by number of returns and then by time."""
-    rows, limit = [row for part in parts for row in _rows(part)], options.max_period
-    most = max((int(row.place.max()) + 1 for row in rows if len(row.place)), default=0)
+    rows, limit = [row for part in parts for row in rows_of(part)], options.max_period
 
     def whole(values: Sequence[np.ndarray], empty: float = np.nan) -> np.ndarray:
-        shape = values[0].shape[1:] if values else ()
-        made = np.full((count, most, *shape), empty)
-        for row, one in zip(rows, values, strict=True):
-            made[row.lane, row.place] = one
-        return made
+        return gather(rows, values, count, empty)
 
     def column(name: str, empty: float = np.nan) -> np.ndarray:
         return whole([getattr(row.part.measured[row.n], name) for row in rows], empty)
@@ -109,9 +104,18 @@ def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[Lane
     return xr.Dataset(variables, attrs=section_attrs(batch))
 
 
-def _rows(part: LaneOrbits) -> list[_Row]:
+def gather(rows: Sequence[OrbitRow], values: Sequence[np.ndarray], count: int, empty: float) -> np.ndarray:
+    """Return numbers of orbits, an array for each row, over (lane, orbit, ...)."""
+    most = max((int(row.place.max()) + 1 for row in rows if len(row.place)), default=0)
+    made = np.full((count, most, *(values[0].shape[1:] if values else ())), empty)
+    for row, one in zip(rows, values, strict=True):
+        made[row.lane, row.place] = one
+    return made
+
+
+def rows_of(part: LaneOrbits) -> list[OrbitRow]:
     """Return where the orbits of a batch go: in each lane by number of returns, then by time and first coordinate."""
-    rows, filled = list[_Row](), np.zeros(part.batch.count, int)
+    rows, filled = list[OrbitRow](), np.zeros(part.batch.count, int)
     for n, measured in part.measured.items():
         lane = part.search.cycles[n].lane
         order = np.lexsort((measured.points[:, 0, 0], measured.time, lane))
@@ -119,7 +123,7 @@ def _rows(part: LaneOrbits) -> list[_Row]:
         place = np.empty(len(lane), int)
         place[order] = np.arange(len(lane)) - first[lane[order]] + filled[lane[order]]
         filled += np.bincount(lane, minlength=part.batch.count)
-        rows.append(_Row(part, n, part.numbers[lane], place))
+        rows.append(OrbitRow(part, n, part.numbers[lane], place))
     return rows
 
 
@@ -162,7 +166,7 @@ def _status(parts: Sequence[LaneOrbits], count: int) -> Entry:
     return as_variable(LANE, status(np.where(failed, NOT_FINITE, 0)))
 
 
-def _coordinates(lanes: LaneRunner, rows: Sequence[_Row], whole: Any, limit: int) -> dict[str, Entry]:
+def _coordinates(lanes: LaneRunner, rows: Sequence[OrbitRow], whole: Any, limit: int) -> dict[str, Entry]:
     """Return coordinates of the first point of every orbit, and under NAME_points of all of them."""
     columns, said = dict[str, list[np.ndarray]](), dict[str, Any]()
     for row in rows:

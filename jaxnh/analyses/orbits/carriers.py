@@ -1,0 +1,179 @@
+"""Which orbits lie in the attractor, and of which kind the one of least period is, that carries it.
+
+Distances are in sizes of the motion, angles on their circle. An orbit lies in the attractor where each of its points is
+as near to the motion as its own points are to one another: nearer than 99 in 100 of them to the next one. It lies
+outside where it is more than four times further than any. In between neither is said, as the motion may come so near
+only after longer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+from scipy.spatial import KDTree
+
+from jaxnh.analyses.base import LANE, Entry, flag, number_variable, variable
+from jaxnh.analyses.batch import LaneRunner
+from jaxnh.analyses.orbits.tables import LaneOrbits, gather, rows_of
+from jaxnh.analyses.section_points import points_after
+
+PLACES = ("unknown", "inside", "outside", "undecided")
+"""Meanings of the flags 0 to 3 of `place`."""
+
+CARRIERS = (
+    "none", "stable", "saddle", "flip_saddle", "stable_focus_saddle", "unstable_focus_saddle", "discrete_lorenz",
+    "repelling", "undecided",
+)  # fmt: skip
+"""Meanings of the flags 0 to 8 of `carrier`."""
+
+_TYPICAL, _FAR = 0.99, 4.0
+_CLOSE = 1e-6  # sizes: an orbit this near is one that the motion has come to
+
+
+class Places(NamedTuple):
+    """Where orbits of n returns are, in the order of `Search.cycles`.
+
+    Attributes:
+        distance: largest of the distances of the points of an orbit to the motion, in sizes of the motion, (cycles,).
+        place: number in `PLACES`, (cycles,).
+    """
+
+    distance: Float[np.ndarray, " cycles"]
+    place: Int[np.ndarray, " cycles"]
+
+
+def places_of_orbits(
+    part: LaneOrbits, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], count: int
+) -> dict[int, Places]:
+    """Return where the orbits of a batch are, by number of returns.
+
+    Args:
+        u: points of the motions that have settled.
+        count: points of each motion.
+    """
+    batch = part.batch
+    motion = points_after(batch, lanes, u, 0, count)
+    angles = np.array(batch.chart.angles)
+    trees: dict[int, KDTree] = {}
+    typical, largest = (np.full(batch.count, np.nan) for _ in range(2))
+    for lane in np.flatnonzero(np.isfinite(motion).all(axis=(1, 2))).tolist():
+        cloud = _on_circles(motion[lane], part.search.size[lane], angles)
+        trees[lane] = KDTree(cloud)
+        spacing = trees[lane].query(cloud, k=2)[0][:, 1]
+        typical[lane], largest[lane] = np.quantile(spacing, _TYPICAL), np.max(spacing)
+    found: dict[int, Places] = {}
+    for n, measured in part.measured.items():
+        lane = part.search.cycles[n].lane
+        distance = np.full(len(lane), np.nan)
+        for i, number in enumerate(lane):
+            if number in trees and np.isfinite(measured.points[i]).all():
+                points = _on_circles(measured.points[i], part.search.size[number], angles)
+                distance[i] = np.max(trees[number].query(points)[0])
+        conditions = [
+            ~np.isfinite(distance),
+            distance <= np.maximum(typical[lane], _CLOSE),
+            distance > np.maximum(_FAR * largest[lane], _CLOSE),
+        ]
+        found[n] = Places(distance, np.select(conditions, [0, 1, 2], 3))
+    return found
+
+
+def _on_circles(
+    u: Float[np.ndarray, "points d"], size: Float[np.ndarray, " d"], angles: Bool[np.ndarray, " d"]
+) -> Float[np.ndarray, "points k"]:
+    """Return points in sizes of the motion, each angle as a point of a circle."""
+    turned = u[:, angles]
+    return np.concatenate([u[:, ~angles] / size[~angles], np.cos(turned), np.sin(turned)], axis=1)
+
+
+def place_variables(
+    parts: Sequence[LaneOrbits], places: Sequence[Mapping[int, Places]], count: int
+) -> dict[str, Entry]:
+    """Return distances and places over (lane, orbit)."""
+    rows = [(row, of_part[row.n]) for part, of_part in zip(parts, places, strict=True) for row in rows_of(part)]
+    every = [row for row, _ in rows]
+    distance = gather(every, [one.distance for _, one in rows], count, np.nan)
+    place = gather(every, [one.place for _, one in rows], count, 0)
+    words = "largest distance of a point of the orbit from the motion, in sizes of the motion"
+    return {
+        "distance": variable((LANE, "orbit"), distance, words),
+        "place": flag((LANE, "orbit"), place.astype(int), "whether the orbit lies in the attractor", PLACES),
+    }
+
+
+def carrier_variables(
+    parts: Sequence[LaneOrbits], places: Sequence[Mapping[int, Places]], count: int
+) -> dict[str, Entry]:
+    """Return the period, the unstable multipliers and the kind of the orbit that carries each attractor."""
+    least = least_orbits(parts, places, count)
+    words = "of the orbit of least period in the attractor"
+    return {
+        "least_period": number_variable(LANE, least.period.astype(np.int32), f"period, in returns, {words}", ("none",)),
+        "least_unstable": variable(LANE, least.unstable.astype(np.int32), f"number of unstable multipliers {words}"),
+        "carrier": flag(LANE, least.carrier, f"kind {words}", CARRIERS),
+    }
+
+
+class LeastOrbits(NamedTuple):
+    """The orbits of least period in the attractors of lanes.
+
+    Attributes:
+        period: in returns; 0 where none is known to lie in it, (lanes,).
+        unstable: number of its multipliers beyond the unit circle, (lanes,).
+        carrier: number in `CARRIERS`, (lanes,).
+    """
+
+    period: Int[np.ndarray, " lanes"]
+    unstable: Int[np.ndarray, " lanes"]
+    carrier: Int[np.ndarray, " lanes"]
+
+
+def least_orbits(parts: Sequence[LaneOrbits], places: Sequence[Mapping[int, Places]], count: int) -> LeastOrbits:
+    """Return the orbit of least period inside the attractor of each lane; of several the most unstable one."""
+    period, unstable, carrier = (np.zeros(count, int) for _ in range(3))
+    for part, by_returns in zip(parts, places, strict=True):
+        for n in sorted(by_returns, reverse=True):
+            measured, lane = part.measured[n], part.search.cycles[n].lane
+            modulus = np.abs(measured.multipliers)
+            order = np.argsort(modulus[:, 0], kind="stable")
+            for i in order:
+                number, place = part.numbers[lane[i]], PLACES[by_returns[n].place[i]]
+                if place == "inside":
+                    period[number] = n
+                    unstable[number] = np.count_nonzero(modulus[i] > 1.0)
+                    kind = _kind(measured.multipliers[i], measured.multipliers_error[i])
+                    carrier[number] = CARRIERS.index(kind)
+                elif place == "undecided":
+                    period[number], unstable[number] = 0, 0
+                    carrier[number] = CARRIERS.index("undecided")
+    return LeastOrbits(period, unstable, carrier)
+
+
+def _kind(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " d"]) -> str:
+    """Name an orbit by its multipliers; one on the unit circle within its error leaves it undecided.
+
+    Of three, μ1 < −1 < μ3 < 0 < μ2 < 1 with |μ3| < μ2 and |μ1| μ2 > 1 is the saddle of a discrete Lorenz attractor
+    (Gonchenko, Ovsyannikov, Simó and Turaev, Int. J. Bifurcation Chaos 15 (2005) 3493).
+    """
+    modulus = np.abs(multipliers)
+    beyond = modulus > 1.0
+    if np.any(np.abs(modulus - 1.0) <= error):
+        return "undecided"
+    if not beyond.any():
+        return "stable"
+    if beyond.all():
+        return "repelling"
+    turns = np.abs(np.imag(multipliers)) > error
+    if turns[beyond].any():
+        return "unstable_focus_saddle"
+    leading = np.real(multipliers[beyond])
+    if len(leading) == 1 and leading[0] < 0 and not turns.any():
+        inner = np.real(multipliers[~beyond])
+        if len(inner) == 2 and inner[0] > 0 > inner[1] and -leading[0] * inner[0] > 1.0:
+            return "discrete_lorenz"
+    if turns.any():
+        return "stable_focus_saddle"
+    return "flip_saddle" if (leading < 0).any() else "saddle"
