@@ -48,6 +48,7 @@ class PiecewiseField:
     Attributes:
         surfaces: they.
         attracts: along which of them motions may slide.
+        pushes: across which of them the field jumps by what moves the surface's own coordinates.
     """
 
     def __init__(self, define: Callable[..., Definition], parameters: Mapping[str, float]) -> None:
@@ -70,10 +71,10 @@ class PiecewiseField:
         self._place_all()
         if len(self.surfaces) > _MOST_SURFACES:
             self.surfaces, self._sides = [], {}
-        self.attracts = np.zeros(0, bool)
+        self.attracts = self.pushes = np.zeros(0, bool)
         if self.surfaces:
-            part, attracts = self._probed(parameters)
-            self.attracts = attracts[part]
+            part, attracts, pushes = self._probed(parameters)
+            self.attracts, self.pushes = attracts[part], pushes[part]
             self._drop(~part)
 
     def rates(self, p: Mapping[str, Any], y: tuple[Any, ...], t: Any, sides: tuple[Any, ...]) -> Any:
@@ -166,8 +167,8 @@ class PiecewiseField:
             self._program.run(values, lambda step: not depends[step.makes[0]])
         return values
 
-    def _probed(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return which surfaces have a part in the field, and along which motions may slide, each (surfaces,).
+    def _probed(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return which surfaces have a part in the field, along which motions may slide, and which push, (surfaces,).
 
         The field is not one function on both sides of the first; it may push towards the others from both sides.
         Random states and times go to each surface by Newton. A little beside it, on either side, the field is compared
@@ -209,7 +210,8 @@ class PiecewiseField:
         gain = on[0] * np.sum(slopes[:-1] * (on[1] - on[2]), axis=0)  # of the height's rate, from below to above
         size = np.sum(np.abs(slopes[:-1]) * np.maximum(np.abs(on[1]), np.abs(on[2])), axis=0)
         attracts = np.any(reached & (gain < -_ALIKE * size), axis=0)
-        return part, attracts
+        push = np.sum(np.abs(slopes[:-1] * (on[1] - on[2])), axis=0)
+        return part, attracts, np.any(reached & (push > _ALIKE * size), axis=0)
 
     def _heights_with_slopes(self, p: Mapping[str, Any], z: tuple[Any, ...]) -> tuple[Any, list[Any]]:
         """Heights above all surfaces at (y, t) of any shape, and their derivatives in each of these numbers."""
@@ -301,6 +303,46 @@ def with_switches(define: Callable[..., Definition], parameters: Mapping[str, fl
         }
 
     return with_switches
+
+
+def forces_with_switches(
+    define: Callable[..., Definition], parameters: Mapping[str, float], sizes: tuple[int, int]
+) -> Callable[..., Definition]:
+    """The definition of a mechanical system with switches for the corners and jumps of `Q`; itself where it has none.
+
+    Motions may slide along a surface that velocities decide and across which a force jumps, as of dry friction: which
+    way the masses let it push is not asked.
+
+    Args:
+        define: parameters to a definition with `Q`, of (q, v, t).
+        parameters: their defaults.
+        sizes: numbers of coordinates and of velocities.
+    """
+    if "switches" in define(**parameters):
+        return define
+    k, n = sizes
+
+    def as_field(**p: Any) -> Definition:
+        forces = define(**p)["Q"]
+        still = (0.0,) * k
+        return {"coordinates": (0.0,) * (k + n), "rhs": lambda y, t: (*still, *forces(y[:k], y[k:], t))}
+
+    with jax.enable_x64(True):
+        field = PiecewiseField(as_field, parameters)
+    if not field.surfaces:
+        return define
+
+    def forces_with_switches(**p: Any) -> Definition:
+        return {
+            **define(**p),
+            "Q": pointwise(lambda q, v, t, side: tuple(field.rates(p, (*q, *v), t, side))[k:]),
+            "switches": tuple(
+                {"on": pointwise(lambda q, v, t, i=i: field.height(i, p, (*q, *v), t)), "sliding": bool(slides)}
+                for i, slides in enumerate(field.pushes)
+            ),
+        }
+
+    return forces_with_switches
 
 
 def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:

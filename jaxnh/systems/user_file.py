@@ -50,7 +50,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxnh.exceptions import InputError, UserFileError
-from jaxnh.systems.corners import with_switches
+from jaxnh.systems.corners import forces_with_switches, with_switches
 from jaxnh.systems.discrete_map import DiscreteMap, discrete_map
 from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
@@ -200,7 +200,7 @@ class UserFile:
             UserFileError: the equations are other ones a period later.
         """
         self._check_period(parameters)
-        define = self.define if self.mechanical or self.discrete else self._with_switches
+        define = self.define if self.discrete else self._with_switches
         eventful = any(define(**parameters).get(kind) for kind in (*EVENTS, "constraints"))
         of_points = piecewise_smooth if eventful else first_order
         of_mechanics = switched_mechanics if eventful else lagrangian
@@ -215,8 +215,11 @@ class UserFile:
 
     @functools.cached_property
     def _with_switches(self) -> Callable[..., Mapping[str, Any]]:
-        """Its definition, of a right-hand side with switches for its corners and jumps."""
-        return self._guarded(lambda: with_switches(self.define, self.parameters))
+        """Its definition, with switches for the corners and jumps of its right-hand side or its forces."""
+        if not self.mechanical:
+            return self._guarded(lambda: with_switches(self.define, self.parameters))
+        sizes = state_sizes(self.define(**self.parameters))
+        return self._guarded(lambda: forces_with_switches(self.define, self.parameters, sizes))
 
     def _check_period(self, parameters: Mapping[str, float]) -> None:
         """Hold the equations against themselves a period later, at random states and times."""

@@ -13,7 +13,9 @@ from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.systems.corners import forces_with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from jaxnh.systems.switched_mechanics import switched_mechanics
 from tests.flows import switched_sleighs
 from tests.flows.switched_sleighs import TURN, flow_of
 
@@ -262,6 +264,40 @@ def test_rest_on_a_wall_by_its_restitution():
     states, lost, _ = end(flow_of(ball, r=0.5), [(0.5, 0.0)], 20)
     assert states[0] == pytest.approx([0.0, 0.0], abs=1e-14)
     assert lost[0] == pytest.approx(0.5, rel=1e-9)
+
+
+def forced_block(mu=0.4):
+    """A block of mass 2 on a spring, driven, with dry friction by sign and a stop by max."""
+    return {
+        "T": lambda q, v, t: v[0] ** 2,
+        "Q": lambda q, v, t: (
+            -2.0 * mu * jnp.sign(v[0]) - q[0] - 3.0 * jnp.maximum(q[0] - 0.5, 0.0) + 2.0 * jnp.cos(t),
+        ),
+        "coordinates": ("x",),
+        "period": TURN,
+    }
+
+
+def forced_block_with_switches(mu=0.4):
+    return {
+        **forced_block(mu),
+        "Q": lambda q, v, t, side: (
+            -2.0 * mu * side[0] - q[0] - 3.0 * jnp.where(side[1] > 0.0, q[0] - 0.5, 0.0) + 2.0 * jnp.cos(t),
+        ),
+        "switches": [{"on": lambda q, v, t: v[0], "sliding": True}, {"on": lambda q, v, t: q[0] - 0.5}],
+    }
+
+
+def test_corners_of_forces_are_found():
+    """Friction by `sign` sticks and slips, and a stop by `max` is met, as where both are said to be switches."""
+    own = {"mu": 0.4}
+    define = forces_with_switches(forced_block, own, (1, 1))
+    assert [switch["sliding"] for switch in define(**own)["switches"]] == [True, False]
+    states = [(0.3, 1.0), (-1.0, 0.0), (0.6, -0.2)]
+    found, said = (end(switched_mechanics(each, own), states, 40)[0] for each in (define, forced_block_with_switches))
+    assert np.abs(found - said).max() < 1e-13
+    smooth = {"T": lambda q, v, t: v[0] ** 2, "Q": lambda q, v, t: (-q[0] * jnp.cos(t),), "coordinates": ("x",)}
+    assert forces_with_switches(lambda: smooth, {}, (1, 1))() is smooth
 
 
 def test_friction_by_the_side_of_a_switch():
