@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import RotationOptions as Rotation
     from jaxnh.analyses.options import ToriOptions as Tori
     from jaxnh.analyses.options import TransientsOptions as Transients
+    from jaxnh.analyses.options import TransportOptions as Transport
     from jaxnh.analyses.options import VerdictOptions as Verdict
     from jaxnh.analyses.options import WindowsOptions as Windows
     from jaxnh.engine.experiment import Experiment, load
@@ -131,6 +132,7 @@ __all__ = [
     "Stopped",
     "Tori",
     "Transients",
+    "Transport",
     "UserFileError",
     "Verdict",
     "Windows",

@@ -14,6 +14,7 @@ from jaxnh.analyses.rotation import rotation
 from jaxnh.analyses.tori import tori
 from jaxnh.analyses.trajectories import diagram, poincare, portrait
 from jaxnh.analyses.transients import transients
+from jaxnh.analyses.transport import transport
 from jaxnh.analyses.windows import windows
 
 _MODULES = (
@@ -35,6 +36,7 @@ _MODULES = (
     transients,
     rotation,
     tori,
+    transport,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}

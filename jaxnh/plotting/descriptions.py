@@ -82,6 +82,11 @@ def _lyapunov(data: xr.Dataset) -> _Description:
     return _Description("curves", ("exponents",), ("exponent",), words)
 
 
+def _transport(data: xr.Dataset) -> _Description:
+    names = [str(name) for name in data.data_vars if str(name).endswith("_growth") or name == "diffusion_exponent"]
+    return _Description("curves", names, (), "exponents of time", "0 1")
+
+
 def _doubling(data: xr.Dataset) -> _Description:
     parameters = _with_errors(data, "level")
     return _Description("cascade", (*parameters, "delta"), ("level",), "ratio δ", parameters=parameters)
@@ -119,6 +124,7 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("growth", "harmonics"),
         lambda data: _plane(data, "trajectories", "theta"),
     ),
+    "transport": (("diffusion_kind",), _transport),
     "rotation": (
         ("rotation", "denominator"),
         lambda _: _Description("curves", ("rotation",), (), "rotation number", "none"),

@@ -20,7 +20,12 @@ from jaxnh.analyses.options.orbits import (
     PeriodOptions,
     WindowsOptions,
 )
-from jaxnh.analyses.options.trajectories import DiagramOptions, PoincareOptions, PortraitOptions
+from jaxnh.analyses.options.trajectories import (
+    DiagramOptions,
+    PoincareOptions,
+    PortraitOptions,
+    TransportOptions,
+)
 
 OPTIONS: dict[str, type[Options]] = {
     options.__name__.removesuffix("Options").lower(): options
@@ -43,6 +48,7 @@ OPTIONS: dict[str, type[Options]] = {
         TransientsOptions,
         RotationOptions,
         ToriOptions,
+        TransportOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

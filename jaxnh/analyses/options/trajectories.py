@@ -1,4 +1,4 @@
-"""Options of the analyses that keep states: portraits, Poincaré maps, diagrams."""
+"""Options of the analyses that keep states: portraits, Poincaré maps, diagrams, transport."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import Options, rule
+from jaxnh.analyses.options.base import Options, Side, check_random_starts, rule
 
 _FOR_RANDOM = ("n_starts", "seed", "box")
 
@@ -84,3 +84,28 @@ class DiagramOptions(Options):
     def carried(self) -> bool:
         """Return whether the state at one value of the first axis is the start state at the next."""
         return self.start in ("up", "down")
+
+
+class TransportOptions(Options):
+    """Options of `transport`."""
+
+    in_time: ClassVar[bool] = True
+
+    transient: int = Field(default=0, ge=0, description="Periods before the record begins, which time is counted from")
+    periods: int = Field(default=4096, ge=256, description="Periods of the record, of which whole sixteenths are used")
+    growth: Annotated[tuple[str, ...], Field(strict=False)] | None = Field(
+        default=None, description="Coordinates, velocities or outputs whose growth is asked for"
+    )
+    path: Annotated[tuple[str, ...], Field(strict=False, min_length=1, max_length=3)] | None = Field(
+        default=None, description="Coordinates of the place whose drift and diffusion are asked for"
+    )
+    n_starts: int = Field(default=0, ge=0, description="Random starts of each lane; 0: the start state alone")
+    seed: int = Field(default=0, ge=0, description="Seed of the random starts")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> TransportOptions:
+        check_random_starts(self.box, self.n_starts, "seed" in self.model_fields_set)
+        return self
