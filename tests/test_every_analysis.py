@@ -60,6 +60,7 @@ OPTIONS = {
     },
     "rotation": {"transient": 64, "periods": 128},
     "tori": {"transient": 64, "periods": 128},
+    "transport": {"transient": 1024, "periods": 2048, "path": ("u",)},
 }
 
 
@@ -79,8 +80,11 @@ def lowered_for_cuda_too():
 
 
 def starts_between(name, low, high):
-    """Options of `transients` in a range of another coordinate."""
-    return {"transients": OPTIONS["transients"] | {"box": {name: (low, high)}, "region": {name: (-9.0, 9.0)}}}
+    """Options of `transients` in a range of another coordinate, and of `transport` along it."""
+    return {
+        "transients": OPTIONS["transients"] | {"box": {name: (low, high)}, "region": {name: (-9.0, 9.0)}},
+        "transport": OPTIONS["transport"] | {"path": (name,)},
+    }
 
 
 class Kind(NamedTuple):
@@ -284,6 +288,22 @@ def nothing_leaves(data, _):
     assert np.all(high > 0.0)
 
 
+def stays(data, _):
+    """The path has no drift and no diffusion."""
+    names = [name for name in map(str, data) if name.endswith("_drift")]
+    drift, error, kind, _ = lanes_of(data, *names, f"{names[0]}_error", "diffusion_kind")
+    assert np.all(np.abs(drift) <= error + CLOSE)
+    words = np.array(data["diffusion_kind"].attrs["flag_meanings"].split())
+    assert set(words[kind]) <= {"bounded"}
+
+
+def wanders(data, _):
+    """A chaotic motion in a potential well may come and go, but does not go away faster than by chance."""
+    kind, _ = lanes_of(data, "diffusion_kind")
+    words = np.array(data["diffusion_kind"].attrs["flag_meanings"].split())
+    assert set(words[kind]) <= {"bounded", "subdiffusive", "normal", "undecided"}
+
+
 def doubling(name, expected):
     """One doubling at each point of the other axes, within its error and what steps leave."""
 
@@ -429,11 +449,12 @@ MOEBIUS = {
     "transients": nothing_leaves,
     "rotation": rotation(moebius_periods),
     "tori": words("none"),
+    "transport": stays,
 }
 IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
 SECTION = "\nsection: {coordinate: y, value: 0.0, direction: up}"
-IN_TIME = ("portrait", "lyapunov", "basins")
+IN_TIME = ("portrait", "lyapunov", "basins", "transport")
 
 
 @functools.cache
@@ -480,6 +501,7 @@ def particle(names, rates=paper_equations.at_speed):
         "transients": nothing_leaves,
         "rotation": rotation(lambda values: np.where(values["b"] > first_doubling(), 1, 2)),
         "tori": words("none"),
+        "transport": stays,
     }
 
 
@@ -585,8 +607,10 @@ KINDS = {
         SPACE,
         {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
         | {"verdict": WITHOUT_SECTION.format("period")}
-        | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor},
+        | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
+        | {"transport": stays},
         moebius.MOEBIUS_IN_SPACE,
+        starts_between("x", 1.2, 1.4),
     ),
     "T, Q, f with a constraint that is eliminated": Kind(
         "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: -0.045}\n"
@@ -610,6 +634,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": rotation(),
             "tori": words("none"),
+            "transport": stays,
         },
         constrained_oscillators.SLIDE,
         starts_between("x", -0.5, 0.5),
@@ -643,6 +668,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": rotation(),
             "tori": words("none"),
+            "transport": stays,
         },
         constrained_oscillators.NEEDLE,
         starts_between("w", -0.1, 0.1),
@@ -681,6 +707,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": rotation(),
             "tori": "a curve on a map of one direction has nothing normal to it",
+            "transport": stays,
         },
         constrained_oscillators.CYCLE,
         {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}}
@@ -710,6 +737,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": rotation(),
             "tori": words("none"),
+            "transport": stays,
         },
         options=starts_between("x1", -0.2, 0.2),
     ),
@@ -739,6 +767,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": words("unconverged", "no_rotation", "unlocked"),
             "tori": words("none", "neutral", "undecided"),
+            "transport": wanders,
         },
         options={"doubling": {"levels": 1, "search": False}} | starts_between("x1", 0.0, 0.2),
     ),

@@ -18,6 +18,7 @@ _OF_TIME = {
     "volume_residual",
     "t",
     "time",
+    "diffusion",
     "drift",
     "energy_lost",
 }
@@ -62,7 +63,7 @@ def _check_words(key, variable, unsaid):
         assert is_unit(variable.attrs["units"]), f"{key}: {variable.attrs['units']} is no unit"
         return
     base = key.removesuffix("_error").removeprefix("start_").removeprefix("change_").removeprefix("codimension_two_")
-    base = re.sub(r"_(points|max|min|mean|std|low)$", "", base)
+    base = re.sub(r"_(points|max|min|mean|std|low|drift)$", "", base)
     assert base in unsaid or (base in _OF_TIME | _OF_PARAMETER and unsaid), f"{key} has no units"
 
 

@@ -53,7 +53,7 @@ PATHS = ("bounded", "normal", "subdiffusive", "superdiffusive", "undecided", "fa
 """Meanings of the flags 0 to 5 of `diffusion_kind`."""
 
 _CLEAR = 0.5  # error below which an exponent says anything
-_ROUNDING = 1e-12  # of the largest distance from the origin: displacements that are rounding
+_ROUNDING = 1e-12  # of the largest coordinate, that of the start included: displacements that are rounding
 
 
 def periods(options: TransportOptions, lanes: int) -> float:
@@ -70,7 +70,8 @@ def check(options: TransportOptions, setting: Setting) -> None:
         if name not in names:
             raise OptionError(f"there is no coordinate {name}; known are {', '.join(names)}", "path")
     check_outputs([name for name in options.growth or () if name not in names], setting)
-    check_box(options.box, setting, "box")
+    if options.n_starts:
+        check_box(options.box, setting, "box")
 
 
 def run(options: TransportOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -87,7 +88,9 @@ def run(options: TransportOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Da
             variables |= _growth(name, words, growth_exponent(values.reshape(*shape, -1)), failed)
         if options.path:
             places = path.reshape(len(options.path), *shape, -1)
-            rounding = _ROUNDING * np.max(np.abs(places), axis=(0, 2, 3))
+            begun = _places(many.flow, _as_path(many.start), options.path).reshape(places.shape[:3])
+            extent = np.maximum(np.max(np.abs(places), axis=3), np.abs(begun))
+            rounding = _ROUNDING * np.max(extent, axis=(0, 2))
             variables |= _diffusion(options.path, batch.flow, diffusion(places), rounding, failed)
     return xr.Dataset(variables | {"status": as_variable(LANE, status(failed))})
 
@@ -102,7 +105,7 @@ def _record(
     strobe, p, path = batch.strobe(), dict(batch.p), options.path or ()
     state = settle_lanes(lanes, strobe, options.transient, batch.start, p)
     quantities: dict[str, list[np.ndarray]] = {}
-    places = [_places(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], state), path)]
+    places = [_places(batch.flow, _as_path(state), path)]
     words = dict[str, str]()
     for _ in range(BLOCKS):
         states = lanes.record(strobe, options.periods // BLOCKS, (state, p))
@@ -111,9 +114,13 @@ def _record(
             words[name] = attrs["long_name"]
         places.append(_places(batch.flow, states, path))
         state = jax.tree.map(lambda leaf: leaf[:, -1], states)
-    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], state))["status"].data
+    ended = reports(batch.flow, _as_path(state))["status"].data
     record = {name: (np.concatenate(parts, axis=1), words[name]) for name, parts in quantities.items()}
     return record, np.concatenate(places, axis=-1), np.asarray(ended)
+
+
+def _as_path(state: State) -> State:
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], state)
 
 
 def _quantities(names: tuple[str, ...], batch: LaneBatch, lanes: LaneRunner, states: State) -> dict[str, Entry]:
