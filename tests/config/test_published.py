@@ -129,6 +129,61 @@ def test_a_rotor_accelerates_a_sleigh_by_the_cube_root_of_time():
     assert left.max() < 0.05
 
 
+def test_exponents_of_that_acceleration():
+    """1/3 of the speed, -1/3 of the rate of turning, 2/3 of the energy, within bars that are small; by `transport`."""
+    data = of_config(
+        "sleigh_with_rotor",
+        "accuracy={solver: verner9, steps: 56}",
+        "analyses.portrait=null",
+        "analyses.poincare=null",
+        "analyses.transport={growth: [along, turn, kinetic_energy], periods: 512}",
+    )["transport"]
+    for name, power in (("along", 1 / 3), ("turn", -1 / 3), ("kinetic_energy", 2 / 3)):
+        exponent, error = data[f"{name}_growth"].to_numpy(), data[f"{name}_growth_error"].to_numpy()
+        assert np.all(np.abs(exponent - power) <= error)
+        assert error.max() < 0.1
+        assert words(data[f"{name}_kind"]) == 2 * ["decaying" if power < 0 else "growing"]
+
+
+@pytest.mark.slow
+def test_where_an_oscillating_mass_accelerates_a_sleigh():
+    """By t^(1/3) without friction, or not at all, by the place of the mass before the blade and the centre of mass.
+
+    Bizyaev, Borisov and Mamaev (Regul. Chaotic Dyn. 22 (2017) 955) and Bizyaev, Bolotin and Mamaev (2021), abstracts. At
+    large u, with M = m a + μ ξ the moment about the blade, w goes to -μ ξ η''/(M u), and (m + μ) u' has the mean
+    μ² ξ <η''²> (m a (ξ - a) - I) / (M u)², but for terms smaller by η² and (J/M u)².
+    """
+    common = ["accuracy={solver: verner9, steps: 90}", "system.damping=0.0", "system.turn_damping=0.0"]
+    common += ["initial.along=2.0", "system.length=0.5", "sweep.amplitude={values: [0.3, 0.6]}"]
+    common += ["analyses.diagram=null", "analyses.lyapunov=null", "analyses.transport={growth: [along], periods: 2048}"]
+    ahead = of_config("oscillating_mass", *common, "system.ahead=2.0")["transport"]
+    exponent, error = ahead["along_growth"].to_numpy(), ahead["along_growth_error"].to_numpy()
+    assert np.all(np.abs(exponent - 1 / 3) <= error)
+    assert error.max() < 0.1
+    behind = of_config("oscillating_mass", *common, "system.ahead=0.5")["transport"]
+    assert "growing" not in words(behind["along_kind"])
+
+
+@pytest.mark.slow
+def test_a_chaotic_sleigh_walks_at_random():
+    """With friction the motion on a chaotic attractor is like a random walk on the plane (arXiv 1807.06340, abstract).
+
+    Halves of the starts have the same diffusion coefficient within their bars.
+    """
+    common = ["accuracy={solver: verner9, steps: 60}", "sweep.amplitude={values: [1.0, 1.2]}"]
+    common += ["analyses.diagram=null", "analyses.lyapunov=null"]
+    box = "path: [x, y], transient: 128, periods: 1024, n_starts: 32, box: {along: [-0.5, 0.5], turn: [-0.5, 0.5]}"
+    one, other = (
+        of_config("oscillating_mass", *common, f"analyses.transport={{{box}, seed: {seed}}}")["transport"]
+        for seed in (0, 1)
+    )
+    assert words(one["diffusion_kind"]) == words(other["diffusion_kind"]) == ["normal", "normal"]
+    gap = np.abs(one["diffusion"] - other["diffusion"])
+    assert np.all(gap <= one["diffusion_error"] + other["diffusion_error"])
+    for name in ("x_drift", "y_drift"):
+        assert np.all(np.abs(one[name]) <= one[f"{name}_error"])
+
+
 def test_friction_ends_that_acceleration_on_a_limit_cycle():
     """The same article, abstract: trajectories of the reduced system tend to a limit cycle."""
     data = of_config(
