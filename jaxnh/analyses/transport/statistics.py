@@ -23,7 +23,7 @@ _SHORTEST = 4  # points of a window of a path
 _PRECISE = 0.15  # statistical error of an exponent, and relative one of a coefficient, that windows are chosen by
 
 
-class Estimate(NamedTuple):
+class EstimateWithError(NamedTuple):
     """Estimates and their errors at 95 %, of one shape."""
 
     value: np.ndarray
@@ -40,13 +40,13 @@ class Diffusion(NamedTuple):
         extent: largest mean square of the distance from the mean in a window, (lanes,).
     """
 
-    drift: Estimate
-    exponent: Estimate
-    coefficient: Estimate
+    drift: EstimateWithError
+    exponent: EstimateWithError
+    coefficient: EstimateWithError
     extent: Float[np.ndarray, " lanes"]
 
 
-def growth_exponent(values: Float[np.ndarray, "lanes motions strobes"]) -> Estimate:
+def growth_exponent(values: Float[np.ndarray, "lanes motions strobes"]) -> EstimateWithError:
     """Return the exponent of the power of time that the root mean square of values grows as, (lanes,).
 
     The windows are the strobes from n/16 to n/8, from n/8 to n/4, and so on to the last one, n. From one to the next
@@ -66,7 +66,7 @@ def growth_exponent(values: Float[np.ndarray, "lanes motions strobes"]) -> Estim
     if values.shape[1] >= _FEWEST:
         without = total - sums
         error += _jackknife(0.5 * np.log2(without[:, -1] / without[:, -2]))
-    return Estimate(exponents[-1], error)
+    return EstimateWithError(exponents[-1], error)
 
 
 def diffusion(paths: Float[np.ndarray, "coordinates lanes motions places"]) -> Diffusion:
@@ -80,7 +80,7 @@ def diffusion(paths: Float[np.ndarray, "coordinates lanes motions places"]) -> D
     part = (places - 1) // BLOCKS
     rates = np.diff(paths[..., : BLOCKS * part + 1 : part], axis=3).mean(axis=2) / part
     averages = average_blocks(np.moveaxis(rates, 0, 2))
-    drift = Estimate(averages.mean.T, averages.error.T)
+    drift = EstimateWithError(averages.mean.T, averages.error.T)
     about = paths - drift.value[..., None, None] * np.arange(places)
     short = _SHORTEST * 2 ** np.arange(_octaves(motions, places))
     pairs = [_window_pairs(about, int(length)) for length in short]
@@ -101,7 +101,7 @@ def _at_longest(
     scatter: Float[np.ndarray, "octaves lanes"],
     precise: Bool[np.ndarray, "octaves lanes"],
     remainder: float,
-) -> Estimate:
+) -> EstimateWithError:
     """Return the estimates of the longest windows that are precise, with a multiple of the last change in their errors.
 
     Where none are, it is those of the second length. Longer windows enlarge an error by what they contradict it.
@@ -112,7 +112,7 @@ def _at_longest(
     error = scatter[at] + remainder * np.abs(values[at] - values[at[0] - 1, at[1]])
     contradiction = np.abs(values - values[at]) - scatter - scatter[at]
     longer = np.arange(octaves)[:, None] > at[0]
-    return Estimate(values[at], error + np.max(np.where(longer, contradiction, 0.0), axis=0, initial=0.0))
+    return EstimateWithError(values[at], error + np.max(np.where(longer, contradiction, 0.0), axis=0, initial=0.0))
 
 
 def _octaves(motions: int, places: int) -> int:

@@ -40,7 +40,7 @@ from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.random_starts import check_box, random_start_batch
 from jaxnh.analyses.trajectories.poincare import recording_program
 from jaxnh.analyses.trajectories.states import check_outputs, output_variables, settle_lanes
-from jaxnh.analyses.transport.statistics import Diffusion, Estimate, diffusion, growth_exponent
+from jaxnh.analyses.transport.statistics import Diffusion, EstimateWithError, diffusion, growth_exponent
 from jaxnh.maps.section import outputs, reports
 from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.flow import UNSAID, Flow, status
@@ -144,7 +144,7 @@ def _places(flow: Flow, states: State, names: tuple[str, ...]) -> Float[np.ndarr
 # ---- results
 
 
-def judge_growth(exponent: Estimate) -> Int8[np.ndarray, " lanes"]:
+def judge_growth(exponent: EstimateWithError) -> Int8[np.ndarray, " lanes"]:
     """Apply the rule of this module to exponents of growth: numbers in `GROWTH`."""
     value, error = exponent
     conditions = [~(error < _CLEAR), np.abs(value) <= error, value > 0.0]
@@ -153,7 +153,7 @@ def judge_growth(exponent: Estimate) -> Int8[np.ndarray, " lanes"]:
     )
 
 
-def judge_path(exponent: Estimate, still: np.ndarray) -> Int8[np.ndarray, " lanes"]:
+def judge_path(exponent: EstimateWithError, still: np.ndarray) -> Int8[np.ndarray, " lanes"]:
     """Apply the rule of this module to exponents of diffusion: numbers in `PATHS`."""
     value, error = exponent
     conditions = [
@@ -169,7 +169,7 @@ def judge_path(exponent: Estimate, still: np.ndarray) -> Int8[np.ndarray, " lane
     return kind.astype(np.int8)
 
 
-def _growth(name: str, words: str, exponent: Estimate, failed: np.ndarray) -> dict[str, Entry]:
+def _growth(name: str, words: str, exponent: EstimateWithError, failed: np.ndarray) -> dict[str, Entry]:
     kind = np.where(failed > 0, GROWTH.index("failed"), judge_growth(exponent))
     value, error = (np.where(failed > 0, np.nan, each) for each in exponent)
     return {
