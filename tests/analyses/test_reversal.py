@@ -13,13 +13,17 @@ import jaxnh
 from jaxnh.analyses.intervals import binomial_interval
 from jaxnh.analyses.reversal import reversal as rules
 from jaxnh.analyses.reversal.sets import compare_sets
+from jaxnh.analyses.reversal.symmetric_orbits import symmetric_orbits
+from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError
 from jaxnh.solvers import tsit5
+from jaxnh.systems.discrete_map import discrete_map
 from jaxnh.systems.first_order import first_order
+from jaxnh.systems.reversal import Reversal
 from tests.flows.paper_equations import at_speed
 from tests.helpers.batches import batch_of
 from tests.helpers.commands import run_here
-from tests.helpers.kept_programs import lanes_with_kept_programs
+from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
 
 TURN = 2 * np.pi
 
@@ -167,6 +171,139 @@ def test_on_a_section_of_henon_and_heiles():
     assert kinds(data) == ["conservative", "irreversible"]
     assert data.attrs["reversal"] == "x -> -x, v -> -v, t -> -t"
     assert abs(float(data["exponent_sum"][1]) + 0.1) <= float(data["exponent_sum_error"][1])
+
+
+# ---- symmetric periodic orbits
+
+
+def standard(k=0.8):
+    """The standard map on the torus. (θ, p) → (−θ, p + k sin θ) takes it to its inverse, and keeps θ = 0 and π."""
+
+    def image(y):
+        momentum = y[1] + k * jnp.sin(y[0])
+        return y[0] + momentum, momentum
+
+    def reversal(y):
+        return -y[0], y[1] + k * jnp.sin(y[0])
+
+    names = ("angle", "momentum")
+    return {"map": image, "coordinates": names, "angles": names, "reversal": reversal}
+
+
+def test_symmetric_orbits_of_the_standard_map():
+    """Fixed points (0, 0) and (π, 0) of traces 2 ± k; of two returns one through (0, π), of trace 2 − k², and another.
+
+    With θ'' − 2 θ' + θ = k sin θ' that has θ' = −θ, 4 θ + k sin θ = 2π and the trace (2 + k cos θ)² − 2. Orbits of three
+    returns have twins of opposite momentum. Newton's residual of 1e-8 and less is of rounding, but for its last step.
+    """
+    values = np.array([0.5, 0.8])
+    flow = discrete_map(standard, {"k": 0.8})
+    batch = batch_of(flow, flow.start({"angle": 0.3, "momentum": 0.2}), values, tsit5, 1, name="k")
+    runner, size = lanes_with_kept_programs(), np.full((2, 2), np.pi)
+    ours = symmetric_orbits(batch, runner, Reversal(None, 0.0), batch.map(), size, 3)
+    for k, orbits in zip(values, ours, strict=True):
+        of_each = [[orbit.multipliers.sum().real for orbit in orbits if len(orbit.points) == n] for n in (1, 2, 3)]
+        fixed, two, three = map(sorted, of_each)
+        angle = brentq(lambda x, k=k: k * np.sin(x) + 4 * x - TURN, 1.0, 2.0, xtol=1e-14)
+        assert fixed == pytest.approx([2 - k, 2 + k], abs=1e-9)
+        assert two == pytest.approx([2 - k**2, (2 + k * np.cos(angle)) ** 2 - 2], abs=1e-9)
+        assert three[::2] == pytest.approx(three[1::2], abs=1e-9)
+        assert max(orbit.pairing for orbit in orbits) < 1e-9
+        assert max(orbit.residual for orbit in orbits) < 1e-9
+
+
+def hill(drive, at):
+    """The trace of a period of the driven pendulum's linear equation at rest, by DOP853."""
+
+    def rates(t, y):
+        x, v = y.reshape(2, 2)
+        return np.concatenate([v, -np.cos(at) * (1.0 + drive * np.cos(t)) * x])
+
+    return np.trace(
+        solve_ivp(rates, (0.0, TURN), np.eye(2).ravel(), "DOP853", rtol=1e-12, atol=1e-13).y[:, -1].reshape(2, 2)
+    )
+
+
+def test_symmetric_orbits_of_the_driven_pendulum():
+    """At rest below and above multipliers are those of Hill's equation; all come in pairs, within what steps leave."""
+    session = jaxnh.Session(pendulum, start={"q": 0.3, "q_dot": 0.4}, target=1e-9)
+    options = jaxnh.Reversal(transient=16, strobes=64, periods=16, max_period=1)
+    data = session.run(options, drive=[0.3, 0.5])
+    traces = data["orbit_multipliers"].isel(part=0).sum("multiplier").to_numpy()
+    period, q, v = (data[name].to_numpy() for name in ("orbit_period", "q_points", "q_dot_points"))
+    assert np.all((data["orbit_pairing"].to_numpy() < 1e-7) | (period == 0))
+    for lane, drive in enumerate((0.3, 0.5)):
+        for at in (0.0, np.pi):
+            here = (period[lane] == 1) & (np.abs(np.sin(0.5 * (q[lane] - at))) < 1e-7) & (np.abs(v[lane]) < 1e-7)
+            assert here.sum() == 1
+            assert traces[lane, here] == pytest.approx(hill(drive, at), rel=1e-6)
+
+
+def test_symmetric_orbits_of_the_particle_are_refused():
+    """Its reversal turns the velocity around, and keeps no point: one line says that there are none in general."""
+    session = jaxnh.Session(jaxnh.disturbed_speed(d=0.1), target=1e-6)
+    with pytest.raises(InputError, match="and that of this one keeps 3 of 3"):
+        session.run(jaxnh.Reversal(transient=1, strobes=64, periods=16, max_period=1), b=[3.0])
+
+
+COUPLED_ROTATORS = """
+import jax.numpy as jnp
+
+def system(coupling=0.3):
+    def rhs(y, t):  # the middle one of three phase differences by its cosine c and its sine s
+        psi1, psi3, c, s = y
+        rate = 1 - 2 * coupling * s + coupling * (jnp.sin(psi1) + jnp.sin(psi3))
+        return 1 - 2 * coupling * jnp.sin(psi1) + coupling * s, 1 - 2 * coupling * jnp.sin(psi3) + coupling * s, -s * rate, c * rate
+
+    def reversal(y):
+        return jnp.pi - y[1], jnp.pi - y[0], -y[2], y[3]
+
+    names = ("psi1", "psi3", "c", "s")
+    return {"rhs": rhs, "coordinates": names, "angles": names[:2], "reversal": reversal}
+"""
+
+
+def mean_divergence(coupling, duration, count=64):
+    """The mean of the divergence −2ε Σ cos ψ of count motions from random starts, with its bar, by Runge and Kutta."""
+
+    def rates(psi):
+        s = np.sin(psi)
+        return 1 - 2 * coupling * s + coupling * np.array([s[1], s[0] + s[2], s[1]])
+
+    psi, h, sums = np.random.default_rng(3).uniform(-np.pi, np.pi, (3, count)), 0.05, np.zeros(count)
+    steps, wait = round(duration / h), round(500 / h)
+    for i in range(wait + steps):
+        a = rates(psi)
+        b = rates(psi + 0.5 * h * a)
+        c = rates(psi + 0.5 * h * b)
+        psi = psi + h / 6 * (a + 2 * b + 2 * c + rates(psi + h * c))
+        sums += (i >= wait) * -2 * coupling * np.cos(psi).sum(axis=0)
+    means = sums / steps
+    return means.mean(), 2.0 * means.std(ddof=1) / np.sqrt(count)
+
+
+@pytest.mark.slow
+def test_mixed_dynamics_of_coupled_rotators():
+    """Attractor and repeller meet and differ over a wide range of the coupling; at small ones the flow looks conservative.
+
+    Gonchenko, Gonchenko, Kazakov and Turaev (Physica D 350 (2017) 45; arXiv 1604.02417), abstract and introduction, of
+    four coupled rotators (Topaj and Pikovsky, Physica D 170 (2002) 118).
+    """
+    config = (
+        "system: {file: own.py}\ninitial: {psi1: 0.5, psi3: 1.8, c: 1.0, s: 0.0}\n"
+        "sweep: {coupling: {values: [0.1, 0.3, 0.5, 0.55, 0.7]}}\naccuracy: {target: 1.0e-8}\n"
+        "section: {coordinate: c, value: 0.0, direction: down}\n"
+        "analyses: {reversal: {transient: 2048, strobes: 2048, periods: 65536}}"
+    )
+    data = session_of(Experiment.from_text(config, COUPLED_ROTATORS)).groups({"reversal": None})["reversal"]
+    assert kinds(data) == ["conservative", "conservative", "mixed", "mixed", "dissipative"]
+    known, bar = mean_divergence(0.55, 4000.0)
+    ours, error = float(data["exponent_sum"][3]), float(data["exponent_sum_error"][3])
+    assert known + bar < 0.0
+    assert abs(ours - known) <= error + bar
+    assert float(data["overlap"][2:4].min()) > 0.9
+    gap = np.abs(data["exponents"] + data["repeller_exponents"])
+    assert np.all(gap <= data["exponents_error"] + data["repeller_exponents_error"])
 
 
 # ---- refusals

@@ -86,6 +86,12 @@ class ReversalOptions(Options):
     )
     strobes: int = Field(default=512, ge=64, description="Points that the attractor and its image are compared by")
     periods: int = Field(default=1024, ge=BLOCKS, description="Periods that exponents of either are averaged over")
+    max_period: int | None = Field(
+        default=None,
+        ge=1,
+        le=16,
+        description="Largest number of returns of symmetric periodic orbits that are looked for; nothing: of none",
+    )
 
 
 class TransientsOptions(Options):

@@ -145,6 +145,11 @@ def _image(system: System, signs: Vector | None, state: State, p: Parameters) ->
     return reverse(system.flow, signs, state, p)
 
 
+def image_of_point(system: System, signs: Vector | None, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:
+    """Return the section coordinates of the image of a point."""
+    return system.chart.point(_image(system, signs, system.chart.state(u), p))
+
+
 def _image_points(system: System, signs: Vector | None, states: State, p: Parameters) -> Array:
     return jax.vmap(lambda state: system.chart.point(_image(system, signs, state, p)))(states)
 

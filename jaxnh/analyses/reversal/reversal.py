@@ -53,6 +53,7 @@ from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.reversal.involution import choose_reversal, image_points, images, is_reversible, reversal_of
 from jaxnh.analyses.reversal.rates import Rates, of_attractor, of_repeller
 from jaxnh.analyses.reversal.sets import WITHIN, SetComparison, compare_sets
+from jaxnh.analyses.reversal.symmetric_orbits import check_dimension, orbit_variables, symmetric_orbits
 from jaxnh.analyses.section_points import points_at
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.maps.build import make_return_map
@@ -103,6 +104,8 @@ def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     reversal = choose_reversal(batch)
     if isinstance(batch.solver, AdaptiveMethod):
         raise OptionError(f"the flow takes steps of a lane's own ({batch.solver.name}), which go forward alone")
+    if options.max_period:
+        check_dimension(batch, reversal_of(batch, reversal))
     return {"reversal": reversal, **lyapunov.choose(_of_exponents(options, batch), batch, lanes)}
 
 
@@ -136,6 +139,12 @@ def run(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     compared = compare_sets(batch, lanes, points, mirrored, _resolution(batch, forward, options.strobes))
     ended = np.asarray(reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], states))["status"].data)
     variables = _variables(batch, forward, backward, compared, reversible, ended)
+    if options.max_period:
+        size = np.where(batch.chart.angles, np.pi, np.max(np.abs(points), axis=1))
+        size = np.where(size > 0.0, size, 1.0)
+        with lanes.stage(f"reversal: symmetric orbits of {batch.count} lanes", 0):
+            orbits = symmetric_orbits(batch, lanes, reversal, strobe, size, options.max_period)
+        variables |= orbit_variables(batch, lanes, orbits)
     attrs = {"reversal": describe_reversal(batch.flow, reversal), "within": WITHIN, **section_attrs(batch)}
     return xr.Dataset(variables, attrs=attrs)
 
