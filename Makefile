@@ -8,7 +8,7 @@ FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
 CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
-GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer suslov chaplygin_top appell_hamel parallel_velocities rotators thermostat nose_hoover speed_in_space switched_sleigh
+GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer suslov chaplygin_top appell_hamel parallel_velocities rotators thermostat nose_hoover speed_in_space switched_sleigh rubber_ball snakeboard
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
 .PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches reversal flows gallery $(addprefix gallery_,$(GALLERY)) paper effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
@@ -46,6 +46,8 @@ gallery_roller_racer: PICTURE := --size 130x90 --coordinates along
 gallery_chaplygin_top: PICTURE := --size 130x90 --coordinates w3
 gallery_nose_hoover: PICTURE := --size 130x90 --coordinates p
 gallery_switched_sleigh: PICTURE := --size 130x90 --coordinates turn
+gallery_rubber_ball: PICTURE := --size 130x90 --coordinates w3
+gallery_snakeboard: PICTURE := --size 130x90 --coordinates along
 $(addprefix gallery_,$(GALLERY)): gallery_%: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/nonholonomic/$*.yaml --output results/$@.h5 --fresh
 	$(RUN)/python -m jaxnh.plot results/$@.h5 $(or $(PICTURE),--size 130x90)

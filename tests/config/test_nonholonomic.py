@@ -16,6 +16,7 @@ from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.user_file import UserFile
 from tests.helpers.commands import run_here
+from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
 FOLDER = ROOT / "configs/nonholonomic"
@@ -197,11 +198,45 @@ def chaplygin_top(t, p):
     return tuple(gamma), tuple(w), (*turned, *rates)
 
 
+def rubber_ball(t, p):
+    """As of `chaplygin_top`, with a moment λ γ that keeps w·γ = 0, and the velocity V = -w × r of the centre of mass."""
+    gamma, w = numbers(19, 3), numbers(20, 3)
+    gamma /= np.sqrt((gamma**2).sum(0))
+    w -= (w * gamma).sum(0) * gamma
+    inertia, m = np.diag([p["i1"], p["i2"], p["i3"]]), p["mass"]
+    aside, along = p["offset"] * np.sin(p["tilt"]), p["offset"] * np.cos(p["tilt"])
+    turned = np.cross(gamma, w, axis=0)
+    r = np.array([[0.6 * aside], [0.8 * aside], [along]]) - p["radius"] * gamma
+    moved, pull = -p["radius"] * turned, np.cross(w, r, axis=0)
+    momentum = inertia @ w + m * np.cross(r, pull, axis=0)
+    right = np.cross(momentum, w, axis=0) + m * p["gravity"] * np.cross(r, gamma, axis=0)
+    right -= m * np.cross(r, np.cross(w, moved, axis=0), axis=0)
+    tensor = m * ((r**2).sum(0) * np.eye(3)[:, :, None] - r[:, None] * r[None]) + inertia[:, :, None]
+    solved = np.linalg.solve(np.moveaxis(tensor, -1, 0), np.stack([right.T, gamma.T], axis=-1))
+    free, by_moment = solved[..., 0].T, solved[..., 1].T
+    rates = free - (free * gamma).sum(0) / (by_moment * gamma).sum(0) * by_moment
+    centre = -np.cross(rates, r, axis=0) - np.cross(w, moved, axis=0)
+    return tuple(gamma), (*w, *-pull), (*turned, *rates, *centre)
+
+
+def snakeboard(t, p):
+    """Along the only way it can go, w = u tan φ / b: of the forces, and of the rates of both momenta, times their shares."""
+    x, y, theta, u = numbers(21, 4)
+    m, b, omega = p["mass"], p["half"], p["omega"]
+    phi, phi_dot = p["steering"] * np.sin(omega * t + p["lag"]), p["steering"] * omega * np.cos(omega * t + p["lag"])
+    slope, slope_dot = np.tan(phi) / b, phi_dot / np.cos(phi) ** 2 / b
+    spun, inertia = -p["swing"] * omega**2 * np.sin(omega * t), p["inertia"] + 2 * p["wheels"] + p["rotor"]
+    drag = p["damping"] * u * (1 + (b * slope) ** 2)
+    push = -drag - slope * (inertia * u * slope_dot + p["rotor"] * spun)
+    faster, w = push / (m + inertia * slope**2), u * slope
+    return (x, y, theta), (u,), (u * np.cos(theta), u * np.sin(theta), w, faster)
+
+
 SYSTEMS = {
     system.__name__: system
     for system in (
         oscillating_mass, sleigh_in_a_valley, suslov, appell_hamel, parallel_velocities, thermostat, speed_in_space,
-        sleigh_with_rotor, roller_racer, rotators, chaplygin_top,
+        sleigh_with_rotor, roller_racer, rotators, chaplygin_top, rubber_ball, snakeboard,
     )
 }  # fmt: skip
 
@@ -240,6 +275,27 @@ def test_equations_of_nose_and_hoover():
     rates = jax.vmap(lambda y, value: flow.rhs(0.0, y, {"temperature": value}))(states, temperature)
     exact = np.array([p, -q - friction * p, p**2 - temperature])
     assert np.abs(np.array(jax.tree.leaves(rates))[:3] - exact).max() < EXACT
+
+
+def test_a_snakeboard_speeds_up_by_its_drive_gait():
+    """Without friction √M u, M = m + J tan²φ/b², grows at the mean rate of its forcing, steadily; by `transport` as t.
+
+    The mean over a period is that of 512 evenly spaced times, exact to rounding for a smooth periodic function.
+    """
+    made = jaxnh.load(
+        FOLDER / "snakeboard.yaml",
+        ["system.damping=0.0", "sweep.lag={values: [0.3, -0.8]}", "accuracy={solver: verner9, steps: 60}"],
+    )
+    session = session_of(made)
+    u = session.run(jaxnh.Poincare(transient=0, strobes=65))["along"].to_numpy()
+    data = session.run(jaxnh.Transport(growth=("along",), periods=512))
+    t = 2 * np.pi * np.arange(512) / 512
+    for lane, lag in enumerate((0.3, -0.8)):
+        slope = np.tan(0.6 * np.sin(t + lag)) / 0.5
+        root = np.sqrt(1.0 + (0.3 + 2 * 0.05 + 0.2) * slope**2)
+        rate = np.mean(slope / root * 0.2 * np.sin(t))
+        assert abs((u[lane, -1] - u[lane, 0]) * root[0] - rate * 64 * 2 * np.pi) < 1e-9
+        assert abs(data["along_growth"][lane] - 1.0) <= data["along_growth_error"][lane]
 
 
 def three_feet(state, p):
@@ -287,6 +343,7 @@ SMALL = {
     "diagram": "{transient: 4, strobes: 8}",
     "lyapunov": "{transient: 8, periods: 16, exponents: 1}",
     "portrait": "{transient: 0, periods: 4, samples: 4}",
+    "transport": "{transient: 0, periods: 256, path: [x, y]}",
 }
 
 
