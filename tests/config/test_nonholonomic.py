@@ -343,7 +343,6 @@ SMALL = {
     "diagram": "{transient: 4, strobes: 8}",
     "lyapunov": "{transient: 8, periods: 16, exponents: 1}",
     "portrait": "{transient: 0, periods: 4, samples: 4}",
-    "transport": "{transient: 0, periods: 256, path: [x, y]}",
 }
 
 

@@ -204,7 +204,10 @@ def orbit_variables(batch: LaneBatch, lanes: LaneRunner, orbits: list[list[Symme
         for number, orbit in enumerate(of_lane):
             at = lane, number
             period[at], residual[at], pairing[at] = len(orbit.points), orbit.residual, orbit.pairing
-            values[at], points[at] = np.stack([orbit.multipliers.real, orbit.multipliers.imag], axis=1), orbit.points[0]
+            values[at], points[at] = (
+                np.stack([np.real(orbit.multipliers), np.imag(orbit.multipliers)], axis=1),
+                orbit.points[0],
+            )
     variables = {
         "orbit_period": number_variable(
             dims, period, "period of the symmetric orbit", ("none",), counted_in=iterate_units(batch.system)
