@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from importlib import import_module
+from urllib.parse import unquote
 
 import pytest
 import typer
@@ -69,3 +70,34 @@ def test_every_analysis_and_option_is_in_the_table():
     assert {name: set(re.findall(r"`(\w+)`", cell)) for name, cell in rows.items()} == {
         name: set(analysis.options.model_fields) for name, analysis in ANALYSES.items()
     }
+
+
+def test_every_source_of_theory_and_solvers_is_in_the_bibliography():
+    """By the name before a year; DOIs are what their links lead to, and none stands twice."""
+    text = (ROOT / "docs" / "reference" / "bibliography.md").read_text()
+    entries = [line for line in text.splitlines() if line.startswith("- ")]
+    links = re.findall(r"\[(10\.\S+)\]\(https://doi\.org/(\S+)\)", text)
+    assert len(links) == text.count("doi.org") == len(set(links))
+    assert all(unquote(target) == doi for doi, target in links)
+    theory = (ROOT / "docs" / "theory.md").read_text()
+    named = {pair for part in re.findall(r"\(([^()]*\d{4}[^()]*)\)", theory) for pair in surnames_and_years(part)}
+    named |= {(name, year) for name, year in re.findall(r"([A-Z]\w+)(?:'s)?(?: and co-workers)? \((\d{4})\)", theory)}
+    sources = re.findall(
+        r"[(\"]([A-Z][\w-]+)[\w ,-]*, [A-Z][\w. ]+ \d+ \((\d{4})\)",
+        "".join(path.read_text() for path in sorted((ROOT / "jaxnh" / "solvers").glob("*.py"))),
+    )
+    assert len(named) > 25
+    assert len(sources) > 8
+    for name, year in [*named, *sources]:
+        assert any(re.search(rf"\b{name}\b", entry) and f"({year})" in entry for entry in entries), (name, year)
+
+
+def surnames_and_years(text):
+    """The last surname before each year of what stands in brackets."""
+    name = ""
+    for word in re.findall(r"\w[\w-]*", text):
+        if re.fullmatch(r"(18|19|20)\d\d", word):
+            if name:
+                yield name, word
+        elif word[0].isupper():
+            name = word
