@@ -9,9 +9,10 @@ RANGES := range_constant range_disturbed
 CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
 GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer suslov chaplygin_top appell_hamel parallel_velocities rotators thermostat nose_hoover speed_in_space switched_sleigh rubber_ball snakeboard
+PAPER_FIGURES := paper_diagram paper_chart paper_sleigh
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches reversal flows gallery $(addprefix gallery_,$(GALLERY)) paper effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches reversal flows gallery $(addprefix gallery_,$(GALLERY)) paper paper-figures $(PAPER_FIGURES) effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -55,6 +56,18 @@ $(addprefix gallery_,$(GALLERY)): gallery_%: $(INSTALLED)
 # Both tables and all ten figures anew. Three at a time: each run uses all cores, but not while it imports, reads or draws.
 paper: $(INSTALLED)
 	$(MAKE) --jobs=3 $(if $(filter output-sync,$(.FEATURES)),--output-sync=target) $(TABLES) $(FIGURES)
+
+# The figures of paper/paper.md, in its folder.
+paper-figures: $(PAPER_FIGURES)
+
+paper_diagram: CONFIG := configs/fig04.yaml
+paper_chart: CONFIG := configs/chart_b_d.yaml sweep.b.count=384 sweep.d.count=256
+paper_sleigh: CONFIG := configs/nonholonomic/oscillating_mass.yaml
+paper_chart: PICTURE := --size 160x140
+paper_sleigh: PICTURE := --size 130x90 --coordinates along
+$(PAPER_FIGURES): paper_%: $(INSTALLED)
+	$(RUN)/python -m jaxnh.sweep $(CONFIG) --output results/$@.h5 --fresh
+	$(RUN)/python -m jaxnh.plot results/$@.h5 --output paper/$*.png $(or $(PICTURE),--size 130x90)
 
 # What each effect and analysis costs; writes results/effects.md.
 effects: $(INSTALLED)

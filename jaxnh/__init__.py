@@ -66,6 +66,19 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0.dev0"
 
+
+def citation() -> str:
+    """Return the entry of BibTeX by which this version is cited; CITATION.cff has the same for other formats."""
+    return f"""\
+@software{{jaxnh,
+  author = {{{{jaxnh contributors}}}},
+  title = {{jaxnh: complete identification of chaos in nonlinear nonholonomic systems, and in any flow}},
+  version = {{{__version__}}},
+  license = {{MIT}},
+}}
+"""
+
+
 _HOMES = {
     "Experiment": "engine.experiment",
     "FreeParticle": "systems.free_particle",
@@ -138,6 +151,7 @@ __all__ = [
     "Windows",
     "__version__",
     "bokeh_figure",
+    "citation",
     "constant_speed",
     "disturbed_speed",
     "figure",

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import atexit
 import fcntl
+import importlib.abc
+import importlib.util
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -32,6 +35,18 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 pytest.register_assert_rewrite("tests.helpers", "tests.flows")
+
+
+class WithoutHeyoka(importlib.abc.MetaPathFinder):
+    """Where there is no heyoka, as on macOS, modules that import it are skipped."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> None:
+        if name == "heyoka":
+            pytest.skip("heyoka is not installed: no wheel of it for this platform", allow_module_level=True)
+
+
+if not importlib.util.find_spec("heyoka"):
+    sys.meta_path.append(WithoutHeyoka())
 
 from jaxnh.engine.executor.lanes import LaneExecutor  # noqa: E402
 from tests.helpers.commands import Command, run_here, run_process  # noqa: E402
