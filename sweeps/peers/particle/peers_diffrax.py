@@ -103,8 +103,9 @@ class StockContestant:
                 )
         return settings
 
-    def program(self, setting: Setting) -> Callable[[], int]:
-        lanes = self.scene.timed()
+    def program(self, setting: Setting, count: int | None = None) -> Callable[[], int]:
+        """As for every contestant; with a number of lanes."""
+        lanes = self.scene.timed(count)
 
         def run() -> int:
             self._solve(setting.key, lanes, _PERIODS, setting.knob)
