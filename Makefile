@@ -12,7 +12,7 @@ GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer su
 PAPER_FIGURES := paper_diagram paper_chart paper_sleigh
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
-.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches reversal flows gallery $(addprefix gallery_,$(GALLERY)) paper paper-figures $(PAPER_FIGURES) gpu effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
+.PHONY: install $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches reversal flows gallery $(addprefix gallery_,$(GALLERY)) paper paper-figures $(PAPER_FIGURES) gpu scale effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)
 
@@ -72,6 +72,10 @@ $(PAPER_FIGURES): paper_%: $(INSTALLED)
 # Maps, charts, basins and orbits on a graphics card, or in small on a CPU (SMALL=--small); writes results/gpu.md.
 gpu: $(INSTALLED)
 	$(RUN)/python -m sweeps.timing.gpu $(SMALL)
+
+# What a chart of a billion lanes takes beside computing: workers that sleep, merges of real files; writes results/scale.md.
+scale: $(INSTALLED)
+	$(RUN)/python -m sweeps.timing.scale
 
 # What each effect and analysis costs; writes results/effects.md.
 effects: $(INSTALLED)

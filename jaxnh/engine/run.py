@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from jaxnh.engine import dask_workers
 from jaxnh.engine.batches import batches
@@ -48,7 +48,7 @@ class RunOptions(NamedTuple):
     Attributes:
         fresh: drop what an earlier run has left.
         part: k and n, to do share k of n alone.
-        merge: merge the tiles of the parts, and compute nothing.
+        merge: merge the tiles of the parts, and compute nothing; virtual: copy nothing either.
         dask: where Dask workers are.
         tile: lanes a tile.
         command: what is run, for the history of the result.
@@ -57,7 +57,7 @@ class RunOptions(NamedTuple):
 
     fresh: bool = False
     part: tuple[int, int] | None = None
-    merge: bool = False
+    merge: bool | Literal["virtual"] = False
     dask: str | None = None
     tile: int | None = None
     command: str = ""
@@ -384,7 +384,8 @@ class _Run:
         self._total = self._spent()
         attrs = attributes(self._experiment, job, self._total, self._how.command)
         counted = {number: receipt.counts for number, receipt in self._finished.records.items()}
-        merge(path, attrs, self._folder, job.cutting, warnings_of(job.cutting, counted), self._check)
+        warnings, virtual = warnings_of(job.cutting, counted), self._how.merge == "virtual"
+        merge(path, attrs, self._folder, job.cutting, warnings, self._check, virtual=virtual)
 
     def _summary(self, job: Job, *, whole: bool) -> RunSummary:
         lanes = self._lanes

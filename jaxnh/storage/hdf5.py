@@ -25,6 +25,7 @@ import numpy as np
 
 from jaxnh.exceptions import DamagedError, ResultError
 from jaxnh.jobs.arrays import DATA, Attributes, Hash, as_text, checksum, index_words, plain
+from jaxnh.storage import parts
 from jaxnh.storage.atomic import Sink, replace_atomically
 from jaxnh.storage.chunks import row_chunks
 
@@ -40,7 +41,7 @@ UNREADABLE = (OSError, KeyError, ValueError, RuntimeError, TypeError, MemoryErro
 _LARGE = 1 << 14  # bytes; smaller variables are stored in one piece
 _READ = 1 << 23  # bytes that are read at once
 _LEVEL = 1  # of gzip: digits of chaos do not compress, and higher levels take longer to find that out
-_VERSION = ("v110", "v110")  # of the file format: from this one on HDF5 keeps checksums of its own tables
+VERSION = ("v110", "v110")  # of the file format: from this one on HDF5 keeps checksums of its own tables
 _OF_SCALES = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "_Netcdf4Dimid", "_Netcdf4Coordinates")
 _AS_STORED = {"engine": "h5netcdf", "decode_times": False, "mask_and_scale": False}  # units are words here
 
@@ -75,7 +76,7 @@ def write_sealed(path: Path, *, checked: bool = False) -> Iterator[tuple[h5py.Fi
         ResultError: the folder or the disk refuses.
     """
     with replace_atomically(path) as sink:
-        with h5py.File(sink, "w", track_order=True, libver=_VERSION) as file:
+        with h5py.File(sink, "w", track_order=True, libver=VERSION) as file:
             yield file, sink
             if SEAL not in file.attrs:
                 file.attrs[SEAL] = digest(file)
@@ -244,6 +245,7 @@ def read_attrs(path: Path, group: str = "/") -> Attributes:
         raise ResultError(f"{path} is not a readable HDF5 file") from error
     if "jaxnh_version" not in attrs:
         raise ResultError(f"{path} is an HDF5 file, but not a result of jaxnh")
+    parts.check(path, attrs)
     if attributes is None:
         raise ResultError(f"{path} has no group {group}")
     return attributes
@@ -315,14 +317,15 @@ def blocks(item: h5py.Dataset) -> Iterator[np.ndarray]:
 
     A variable that lies in blocks is cut along the first dimension on which these have more than one place.
     """
-    if not item.ndim or not item.chunks:
+    chunks = row_chunks(item.shape, item.dtype.itemsize) if item.is_virtual else item.chunks
+    if not item.ndim or not chunks:
         yield read(item)
         return
-    cut = next((k for k, size in enumerate(item.chunks) if size > 1), item.ndim - 1)
+    cut = next((k for k, size in enumerate(chunks) if size > 1), item.ndim - 1)
     while cut and math.prod(item.shape[cut:]) * item.dtype.itemsize <= _READ:
         cut -= 1
-    size = item.chunks[cut] * math.prod(item.shape[cut + 1 :]) * item.dtype.itemsize
-    many = item.chunks[cut] * max(1, _READ // max(size, 1))
+    size = chunks[cut] * math.prod(item.shape[cut + 1 :]) * item.dtype.itemsize
+    many = chunks[cut] * max(1, _READ // max(size, 1))
     for place in itertools.product(*(range(n) for n in item.shape[:cut])):
         for first in range(0, item.shape[cut], many):
             yield read(item, (*place, slice(first, first + many)))

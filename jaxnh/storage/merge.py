@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import h5py
 import numpy as np
@@ -18,8 +18,9 @@ import xarray as xr
 from jaxnh.exceptions import DamagedError
 from jaxnh.jobs.arrays import as_text, checksum
 from jaxnh.jobs.assembly import CommonAttributes, Slab, WholeVariable, as_json, assemble, check_names
-from jaxnh.jobs.cutting import Cutting, Piece
+from jaxnh.jobs.cutting import Cutting, Piece, slab
 from jaxnh.storage import hdf5 as store
+from jaxnh.storage import parts
 from jaxnh.storage.chunks import row_chunks, slab_chunks
 from jaxnh.storage.tiles import piece_path
 
@@ -46,6 +47,8 @@ def merge(
     cutting: Cutting,
     warnings: Mapping[str, Sequence[str]],
     heed: Callable[[], None] = lambda: None,
+    *,
+    virtual: bool = False,
 ) -> None:
     """Write the result of a sweep whose pieces are all there; it is read back before it gets its name.
 
@@ -53,16 +56,20 @@ def merge(
         attrs: root attributes.
         warnings: of the whole, by analysis, beside those of its pieces.
         heed: called between pieces; may raise to end it, and then nothing is written.
+        virtual: leave large variables in the files of the pieces, which are linked to and not copied (`parts`).
 
     Raises:
         DamagedPieceError: a piece is not what its checksums say, or does not fit the others.
         ResultError: the folder or the disk refuses.
     """
+    linked = parts.link(path, [piece_path(folder, piece) for piece in cutting.pieces()]) if virtual else {}
     with store.write_sealed(path, checked=True) as (file, sink):
-        store.set_attributes(file, attrs)
+        store.set_attributes(file, {**attrs, **linked})
         for name in cutting.groups:
             sources = [(piece, piece_path(folder, piece)) for piece in cutting.sources(name)]
-            merged = _MergedGroup(file.create_group(name, track_order=True), _growing_axes(cutting, len(sources)))
+            source_files = _SourceFiles(path, tuple(piece for piece, _ in sources)) if virtual else None
+            axes = _growing_axes(cutting, len(sources))
+            merged = _MergedGroup(file.create_group(name, track_order=True), axes, source_files)
             for piece, source in sources:
                 heed()
                 sink.check()
@@ -72,6 +79,8 @@ def merge(
                     raise DamagedPieceError(piece, str(error)) from None
             merged.finish(warnings.get(name, ()))
             sink.check()
+    if not virtual:
+        parts.remove(path)
 
 
 def gather(folder: Path, cutting: Cutting, name: str) -> xr.Dataset:
@@ -166,11 +175,52 @@ class _Once:
         return self._digest
 
 
+class _SourceFiles(NamedTuple):
+    """The result that leads to files of pieces, and the pieces of a group."""
+
+    path: Path
+    pieces: tuple[Piece, ...]
+
+    def layout(self, name: str, whole: WholeVariable, dtype: np.dtype, axes: Sequence[str]) -> h5py.VirtualLayout:
+        """Return where in these files a variable lies, by their place beside the result."""
+        layout = h5py.VirtualLayout(whole.shape, dtype)
+        for piece in self.pieces:
+            place = slab(whole.dims, piece, axes)
+            shape = tuple(len(range(*where.indices(size))) for where, size in zip(place, whole.shape, strict=True))
+            file = piece_path(Path(parts.folder_of(self.path).name), piece).as_posix()
+            layout[place] = h5py.VirtualSource(file, name, shape=shape)
+        return layout
+
+
+class _Virtual:
+    """Parts that stay where they are; the whole is read once, in its order, for its checksum.
+
+    A virtual dataset finds its files beside its own, which is open here by a handle without a name: it is read from a
+    file that has one, and is removed again.
+    """
+
+    def __init__(self, group: h5py.Group, name: str, layout: h5py.VirtualLayout, files: _SourceFiles) -> None:
+        self._layout, self._files = layout, files
+        self._fill = np.nan if np.issubdtype(layout.dtype, np.floating) else 0
+        group.create_virtual_dataset(name, layout, self._fill)
+
+    def put(self, place: Slab, values: np.ndarray, source: h5py.Dataset) -> None:
+        """Do nothing: it is there."""
+
+    def finish(self) -> str:
+        scratch = self._files.path.with_name(f".{self._files.path.name}.virtual.part")
+        try:
+            with h5py.File(scratch, "w", libver=store.VERSION) as file:
+                return store.checksum_of(file.create_virtual_dataset("x", self._layout, self._fill))
+        finally:
+            scratch.unlink(missing_ok=True)
+
+
 class _MergedGroup:
     """A group of the result in the making."""
 
-    def __init__(self, target: h5py.Group, axes: Mapping[str, int]) -> None:
-        self._group, self._axes = target, axes
+    def __init__(self, target: h5py.Group, axes: Mapping[str, int], files: _SourceFiles | None = None) -> None:
+        self._group, self._axes, self._files = target, axes, files
         self._name = str(target.name)[1:]
         self._whole: dict[str, WholeVariable] = {}
         self._targets: dict[str, _Target] = {}
@@ -216,6 +266,9 @@ class _MergedGroup:
         dtype = np.dtype("U") if h5py.check_string_dtype(item.dtype) else item.dtype
         if not whole.grows:
             return _Once(store.create(self._group, name, whole.shape, dtype))
+        if self._files and item.chunks and set(self._axes) <= set(whole.dims) and name not in self._axes:
+            layout = self._files.layout(str(item.name), whole, item.dtype, tuple(self._axes))
+            return _Virtual(self._group, name, layout, self._files)
         size = item.dtype.itemsize
         small = math.prod(whole.shape) * size < _COLLECTED
         if len(self._axes) == 1 and whole.dims[0] in self._axes:

@@ -117,6 +117,23 @@ def test_parts_of_a_small_sweep(tmp_path, tile):
     assert content(small.output) == joined
 
 
+def test_parts_stay_where_they_are(tmp_path):
+    """`--merge --virtual`: the same numbers from the files of the tiles, which `--fresh` takes away."""
+    small = Job(tmp_path, CONFIG.replace("count: 3000", "count: 40"), 10)
+    for k in (1, 2):
+        assert small.run_here("--part", f"{k}/2")[0] == 0
+    assert small.run_here("--virtual")[0] == 2
+    code, _, err = small.run_here("--merge", "--virtual")
+    assert code == 0, err
+    assert small.left() == {"job.h5", "job.h5.parts"}
+    store.verify(small.output)
+    virtual = content(small.output)
+    assert small.run_here()[1] == ["job.h5: the result of this config is there; --fresh runs it again"]
+    assert small.run_here("--fresh")[0] == 0
+    assert content(small.output) == virtual
+    assert small.left() == {"job.h5"}
+
+
 OTHER = {"processor": "x86_64 avx avx2 fma avx512f", "xla_options": "--xla_some_option=1"}
 
 
@@ -522,6 +539,7 @@ def test_killed_between_result_and_tiles(job, whole):
     [
         (["--part", "5/4"], "--part: it is K/N with K from 1 to N, not 5/4"),
         (["--merge"], "--merge: there are no tiles in job.h5.tiles"),
+        (["--virtual"], "--virtual: it goes with --merge"),
         (
             ["--dask", "absent.json"],
             "--dask: absent.json is neither local[:N] nor tcp:// or tls://HOST:PORT nor a scheduler file",

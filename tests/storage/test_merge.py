@@ -17,7 +17,7 @@ from jaxnh.jobs.arrays import with_indices
 from jaxnh.jobs.assembly import assemble
 from jaxnh.jobs.cutting import Piece, slab
 from jaxnh.storage import hdf5 as store
-from jaxnh.storage import merge, tiles
+from jaxnh.storage import merge, parts, tiles
 from tests.helpers.cases import some_slow
 from tests.helpers.storage_jobs import SPENT, job
 
@@ -310,6 +310,55 @@ def test_large_variable_lies_in_blocks_that_fit_the_pieces(tmp_path, monkeypatch
         assert file["diagram/x1"].chunks == (8, 1, 400)  # 8 rows of 6.4 kB together are less than 65 kB
         assert file["diagram/x1"].fletcher32
     store.verify(tmp_path / "merged.h5")
+
+
+# ---- files that a result leads to
+
+
+@pytest.mark.parametrize("axes", [line(3000), (("b", 64, False), ("omega", 2, True))], ids=["one", "two"])
+def test_virtual_is_the_same_result_and_copies_nothing(tmp_path, monkeypatch, axes):
+    """Bit for bit, by the checksums of a merge that copies; tiles may go, and the result and its folder may move."""
+    monkeypatch.setattr(store, "_LARGE", 16)
+    plan, groups = job(axes, 16 if len(axes) > 1 else 1024, DIAGRAM), whole(axes, strobes=40)
+    folder = tmp_path / "tiles"
+    folder.mkdir()
+    for piece, data in parts_of(plan, groups):
+        tiles.write_piece(folder, plan, piece, data, {}, SPENT)
+    made, copied = tmp_path / "made" / "whole.h5", tmp_path / "copied.h5"
+    made.parent.mkdir()
+    merge.merge(copied, ATTRS, folder, plan.cutting, {})
+    merge.merge(made, ATTRS, folder, plan.cutting, {}, virtual=True)
+    assert {path.name for path in made.parent.iterdir()} == {"whole.h5", "whole.h5.parts"}
+    tiles.clear(folder)
+    moved = made.parent.rename(tmp_path / "moved") / "whole.h5"
+    store.verify(moved)
+    with h5py.File(moved) as one, h5py.File(copied) as other:
+        assert one["diagram/x1"].is_virtual
+        assert {key: item.attrs[store.DATA] for key, item in one["diagram"].items()} == {
+            key: item.attrs[store.DATA] for key, item in other["diagram"].items()
+        }
+    with store.open_result(moved) as tree:
+        assert_same(tree["diagram"].to_dataset().load(), store.read_group(copied, "diagram"))
+    (moved.parent / "whole.h5.parts" / "000001.h5").unlink()
+    with pytest.raises(DamagedError, match=r"whole\.h5 has its data in .*whole\.h5\.parts, where \d+ of \d+ files are"):
+        store.open_result(moved)
+
+
+def test_virtual_of_too_many_files(tmp_path, monkeypatch):
+    """HDF5 would give fill values in silence; a later result that copies removes the links."""
+    plan, groups = job(line(12), 4, DIAGRAM), whole(line(12))
+    for piece, data in parts_of(plan, groups):
+        tiles.write_piece(tmp_path, plan, piece, data, {}, SPENT)
+    path = tmp_path / "whole.h5"
+    merge.merge(path, ATTRS, tmp_path, plan.cutting, {}, virtual=True)
+    assert parts.folder_of(path).exists()
+    merge.merge(path, ATTRS, tmp_path, plan.cutting, {})
+    assert not parts.folder_of(path).exists()
+    monkeypatch.setattr(parts, "MOST", 2)
+    with pytest.raises(
+        ResultError, match="3 tiles are more files than HDF5 can read as one, 2: merge without --virtual"
+    ):
+        merge.merge(path, ATTRS, tmp_path, plan.cutting, {}, virtual=True)
 
 
 # ---- what does not fit

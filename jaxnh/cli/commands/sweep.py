@@ -33,6 +33,9 @@ def sweep(
     ] = None,
     part: Annotated[str | None, typer.Option(metavar="K/N", help="Do only share K of N; --merge joins them")] = None,
     merge_only: Annotated[bool, typer.Option("--merge", help="Join what the parts have done")] = False,
+    virtual: Annotated[
+        bool, typer.Option("--virtual", help="With --merge, leave data in the files of the tiles, up to 200 of them")
+    ] = False,
     tile: Annotated[
         int | None,
         typer.Option(
@@ -55,6 +58,8 @@ def sweep(
     share = _part(part)
     if merge_only and (part or dask):
         raise ArgumentError("merge", "it goes without --part and --dask")
+    if virtual and not merge_only:
+        raise ArgumentError("virtual", "it goes with --merge")
     from jaxnh.cli.arguments import command_line, read_config
 
     content = read_config(config, [*(overrides or []), *([f"device={device}"] if device else [])])
@@ -62,7 +67,7 @@ def sweep(
     from jaxnh.cli.running import run
     from jaxnh.engine.run import RunOptions
 
-    how = RunOptions(fresh, share, merge_only, dask, tile, command_line("jaxnh.sweep"), yes)
+    how = RunOptions(fresh, share, "virtual" if virtual else merge_only, dask, tile, command_line("jaxnh.sweep"), yes)
     run(content, output, how, quiet=quiet)
 
 
