@@ -160,7 +160,7 @@ def page(scheduling: Sequence[Scheduling], merging: Merging) -> str:
         "# A chart of a billion lanes",
         "",
         "`python -m sweeps.timing.scale` writes this page: what is not computing is measured in small, on one machine,",
-        "and what follows for many is reckoned. How such a chart is run is in [batch jobs](../docs/howto/batch.md).",
+        "and what follows for many is reckoned. How such a chart is run is in `docs/howto/batch.md`.",
         processor(),
         "",
         str(stamp()),
@@ -186,8 +186,9 @@ def page(scheduling: Sequence[Scheduling], merging: Merging) -> str:
         "",
         "## Reckoned",
         "",
-        f"From {RATE:,.0f} lanes a second and core, which the chart of b by d has ([charts](../docs/howto/planes.md)),",
-        "the largest number of workers above, and merging in proportion to lanes, on one core:",
+        f"From {RATE:,.0f} lanes a second and core, which the chart of b by d has (`docs/howto/planes.md`),",
+        "the largest number of workers above, and merging in proportion to lanes, on one core. Pieces a second are",
+        f"those of {_EMPTY:,}; the client goes through all open ones at each answer, so that many more take longer:",
         "",
         "| nodes | cost | computing alone | tiles | in the scheduler | all tiles done | merge, copied | virtual |",
         "|---|---|---|---|---|---|---|---|",
@@ -198,8 +199,8 @@ def page(scheduling: Sequence[Scheduling], merging: Merging) -> str:
         "(`--part K/N`).",
         "",
         f"**8 cards: {cards}** if one has as many lane-periods a second as the fastest program that we know of has",
-        f"units of time of Lorenz's flow, {CARD_RATE:.1e}. Neither flow, program nor card is ours: an order of",
-        "magnitude, and no more.",
+        f"units of time of Lorenz's flow, {CARD_RATE:.1e}. Neither flow, program nor card is ours:",
+        "an order of magnitude, and no more.",
     ]
     return "\n".join(lines) + "\n"
 
