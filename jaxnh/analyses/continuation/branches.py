@@ -26,7 +26,7 @@ from jaxnh.analyses.base import (
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.equilibria import equilibria
-from jaxnh.analyses.continuation.families import orbit_family
+from jaxnh.analyses.continuation.families import orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
@@ -34,7 +34,6 @@ from jaxnh.analyses.options.orbits import BranchesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.orbits.continuation.branches import StepControl
 
 _WORK = 3.0  # of a run, in those of settling: a guess
 
@@ -118,7 +117,7 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)
 
-    steps = StepControl(options.step, options.max_points)
+    steps = step_control(options)
     grown = [FollowedBranches(grow(families, waves, options.max_period, steps, stage), families[0], batch)]
     if options.equilibria:
         grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))

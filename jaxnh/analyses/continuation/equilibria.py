@@ -14,7 +14,7 @@ from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.continuation.tables import FollowedBranches
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.random_starts import Box, random_start_batch
-from jaxnh.orbits.continuation.branches import StepControl
+from jaxnh.orbits.continuation.core import StepControl
 
 _FARTHEST = 100.0  # sizes of the box: equilibria further out are none of those looked for
 
