@@ -43,6 +43,7 @@ _MISSED = 0.15  # of a step that Newton goes back, at most
 _NEAR = 0.3  # of a step, that steps of Newton need not contract below
 _WANTED = 0.04  # what steps are chosen for
 _GROWTH = 1.5  # of a step that went well
+_SHRINKAGE = 0.1  # of one that did not, at most
 _FARTHEST = 1e3  # lengths from where a curve has begun
 _WIDE = 2.0  # lengths from there, beyond which steps grow in proportion
 _LEAST_LOOP = 8  # points of a closed curve
@@ -148,7 +149,7 @@ class Solution(NamedTuple):
         determinant: of the bordered matrix, (lanes,).
         blocks: derivatives that are kept, (lanes, ...).
         residual: largest component of F, (lanes,).
-        missed: how far Newton has gone from the guess, in lengths, (lanes,).
+        missed: how far Newton has gone from the guess, or would have, in lengths, (lanes,).
         converged: whether Newton has come to rest, (lanes,).
     """
 
@@ -186,7 +187,7 @@ def correct(
     z: Float[np.ndarray, "lanes N"],
     across: Float[np.ndarray, "lanes N"] | None = None,
     tolerance: float = ROUGH,
-    near: Float[np.ndarray, " lanes"] | float = 0.0,
+    reach: Float[np.ndarray, " lanes"] | None = None,
 ) -> Solution:
     """The points of curves nearest to guesses in the hyperplanes across directions, and the curve's direction there.
 
@@ -199,10 +200,12 @@ def correct(
         across: to which steps of Newton are orthogonal, and along which the curve's direction has a positive share;
             without, steps are orthogonal to the curve.
         tolerance: length of a step after which a point is known; infinite: the guesses are taken as they are.
-        near: lengths of steps that are too short to lead elsewhere, and need not be half of those before.
+        reach: lengths of steps beyond which they lead elsewhere, and within which they need not be half of the last;
+            by default the first may be of any length.
     """
     lanes, z = len(z), np.array(z)
-    none, last, near = np.full(lanes, np.nan), np.full(lanes, np.inf), np.broadcast_to(near, lanes)
+    none, last = np.full(lanes, np.nan), np.full(lanes, np.inf)
+    far, refused = (np.full(lanes, np.inf) if reach is None else reach), np.zeros(lanes)
     first, active, unit, solution = z.copy(), np.arange(lanes), equations.unit, None
     for _ in range(_NEWTON_STEPS + 1):
         at = equations.evaluate(z[active])
@@ -223,7 +226,7 @@ def correct(
         known = last[active] <= tolerance
         with np.errstate(invalid="ignore"):
             certain = ~known & (size <= _CERTAIN * tolerance)
-            shrinks = size <= np.maximum(_CONTRACTION * last[active], near[active])
+            shrinks = (size <= _CONTRACTION * last[active]) if reach is None else size <= far[active]
         done = known | certain
         rest = active[done]
         solution.converged[rest] = True
@@ -231,6 +234,7 @@ def correct(
         solution.determinant[rest] = np.sign(scale[done]) * linear.determinant[done]
         solution.other[rest] = _second_direction(unit, solution.way[rest], linear.other[done])
         going = ~done & shrinks & np.isfinite(size)
+        refused[active[~done & ~going]] = size[~done & ~going]
         if np.isfinite(tolerance):
             z[rest] += np.where((size <= tolerance)[:, None], step, 0.0)[done]
         active, step, size = active[going], step[going], size[going]
@@ -239,7 +243,7 @@ def correct(
         if not len(active):
             break
     assert solution is not None
-    return solution._replace(missed=norm(unit, z - first))
+    return solution._replace(missed=norm(unit, z - first) + refused)
 
 
 def inner(
@@ -365,7 +369,7 @@ class Path:
         polynomials = _polynomials(unit, self._past)
         guess = self._guess(polynomials, np.minimum(self._size[active], equations.room(now)))
         step = guess.step
-        taken = correct(equations, guess.z, guess.across, ROUGH, _NEAR * step)
+        taken = correct(equations, guess.z, guess.across, ROUGH, np.maximum(_NEAR * step, ROUGH))
         lost = ~np.isfinite(taken.residual) & (taken.missed == 0.0)  # at the guess itself
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, control.ds_min), 0.0)
@@ -441,7 +445,8 @@ class Path:
         wall = np.where(lost, np.minimum(step, self._wall[active]), self._wall[active] - np.where(good, step, 0.0))
         self._wall[active] = wall = np.where(wall > 0.0, wall, np.inf)
         with np.errstate(invalid="ignore"):
-            factor = np.where(good, np.clip(_WANTED / np.maximum(share, 1e-7), 0.5, _GROWTH), 0.5)
+            wanted = _WANTED / np.maximum(share, 1e-7)
+            factor = np.where(good, np.clip(wanted, 0.5, _GROWTH), np.clip(np.sqrt(wanted), _SHRINKAGE, 0.5))
         size = np.minimum(self._size[active], np.maximum(step, control.ds_min)) * factor
         size = np.minimum(size, control.ds_max * np.maximum(1.0, away / _WIDE))
         self._size[active] = np.minimum(size, np.maximum(0.5 * wall, _LAST * control.ds_max))
