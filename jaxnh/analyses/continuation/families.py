@@ -51,7 +51,7 @@ def orbit_family(
         return lanes(derivatives, shared, (u, batch.at_values(values).p), tile=tile, static=(name,))
 
     # Both directions of branches fill a tile of long returns; more of them at once may be one branch many times.
-    return Family(period, batch.chart.wrap, size, *ends, at_once=tile // 2)
+    return Family(period, batch.chart.wrap, size, *ends, at_once=tile // 8)
 
 
 def parameter_plane(
