@@ -12,8 +12,8 @@ from jaxnh.analyses.continuation.equilibria import cycles_at_hopf_points, equili
 from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.maps.section import Section, begin
-from jaxnh.orbits.continuation.core import StepControl
 from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.orbits.continuation.paths import StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.helpers.batches import batch_of
@@ -107,11 +107,10 @@ def test_first_cycle_of_the_brusselator(lanes):
     def crosses(t, u):
         return u[0] - 1.0
 
-    crosses.direction = 1.0
-    whole = solve_ivp(
-        rates, (0.0, 12.0), [1.0, cycle.points[0, 0]], method="DOP853", rtol=1e-13, atol=1e-14, events=crosses
-    )
-    after = next(state for time, state in zip(whole.t_events[0], whole.y_events[0], strict=True) if time > 1.0)
+    start = [1.0, cycle.points[0, 0]]
+    whole = solve_ivp(rates, (0.0, 12.0), start, method="DOP853", rtol=1e-13, atol=1e-14, events=crosses)
+    upward = [state for time, state in zip(whole.t_events[0], whole.y_events[0], strict=True) if time > 1.0]
+    after = next(state for state in upward if rates(0.0, state)[0] > 0.0)
     # scipy's own error over a turn, and that of its event, some 1e-12; the cycle's multiplier is near one.
     assert abs(after[1] - cycle.points[0, 0]) < 1e-10
     assert abs(cycle.points[0, 0] - cycle.value) > 1e-3  # not the equilibrium x = 1, y = B

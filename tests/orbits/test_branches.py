@@ -9,7 +9,8 @@ from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.continuation.arclength import Family, along_parameter, correct
 from jaxnh.orbits.continuation.branches import follow_both_ways
-from jaxnh.orbits.continuation.core import COLLAPSED, ENDS, FINE, RANGE
+from jaxnh.orbits.continuation.core import FINE
+from jaxnh.orbits.continuation.paths import COLLAPSED, ENDS, RANGE
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.flows.duffing_resonance import by_scipy, duffing

@@ -11,9 +11,9 @@ from jaxnh.analyses.continuation.families import parameter_plane
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, special_points
 from jaxnh.orbits.bifurcations.curve_errors import errors_of_special, refine_curve
-from jaxnh.orbits.continuation.core import CLOSED, RANGE, RESONANCE, StepControl
 from jaxnh.orbits.continuation.curves import ParameterPlane, follow_both_ways
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.orbits.continuation.paths import CLOSED, RANGE, RESONANCE, StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.helpers import taylor

@@ -14,7 +14,8 @@ from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.continuation.arclength import along_parameter, correct
 from jaxnh.orbits.continuation.branches import follow_both_ways
-from jaxnh.orbits.continuation.core import FINE, StepControl
+from jaxnh.orbits.continuation.core import FINE
+from jaxnh.orbits.continuation.paths import StepControl
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.particle import constant_speed

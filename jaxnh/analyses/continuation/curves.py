@@ -36,9 +36,9 @@ from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.bifurcations.curve_errors import errors_of_points, errors_of_special, refine_curve
-from jaxnh.orbits.continuation.core import ENDS, STEPS
 from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, follow_both_ways, join_unknowns
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
+from jaxnh.orbits.continuation.paths import ENDS, STEPS
 
 _OWN_NAMES = (
     "curve", "point", "codimension_two", "multiplier", "part", "kind", "period", "multipliers", "begins", "ends",

@@ -17,8 +17,8 @@ from jaxnh.analyses.random_starts import Box, random_start_batch
 from jaxnh.maps.section import Section
 from jaxnh.orbits.bifurcations.hopf_cycles import SectionPlane, first_cycles, hopf_points
 from jaxnh.orbits.continuation.arclength import Family
-from jaxnh.orbits.continuation.core import StepControl
 from jaxnh.orbits.continuation.kinds import HOPF
+from jaxnh.orbits.continuation.paths import StepControl
 
 _AMPLITUDES = (0.01, 0.02, 0.05, 0.1, 0.2)  # of cycles at Hopf points that are tried, in sizes of the box
 _FARTHEST = 100.0  # sizes of the box: equilibria further out are none of those looked for

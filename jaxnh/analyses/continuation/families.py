@@ -15,8 +15,8 @@ from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.section import rates
 from jaxnh.orbits.continuation.arclength import Family
-from jaxnh.orbits.continuation.core import StepControl
 from jaxnh.orbits.continuation.curves import ParameterPlane
+from jaxnh.orbits.continuation.paths import StepControl
 from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long

@@ -20,8 +20,9 @@ from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, neutr
 from jaxnh.orbits.bifurcations.normal_forms import cubic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, along_parameter, correct
 from jaxnh.orbits.continuation.branches import Branch, follow_both_ways
-from jaxnh.orbits.continuation.core import COLLAPSED, FINE, StepControl
+from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
+from jaxnh.orbits.continuation.paths import COLLAPSED, StepControl
 from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it

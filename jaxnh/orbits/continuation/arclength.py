@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.continuation import core
+from jaxnh.orbits.continuation import core, paths
 from jaxnh.orbits.continuation.core import ROUGH, Evaluation, LinearSolution, Solution
 from jaxnh.systems.chart import Wrap
 
@@ -175,7 +175,7 @@ def solution_of(orbits: CurveOrbits) -> Solution:
 
 
 class CycleEquations:
-    """P(u_i; λ) = u_{i+1} around orbits of n points, as equations of the core (`core.Equations`)."""
+    """P(u_i; λ) = u_{i+1} around orbits of n points, as equations of the core (`core.CurveEquations`)."""
 
     def __init__(self, family: Family, n: int) -> None:
         self.family, self._n = family, n
@@ -201,8 +201,8 @@ class CycleEquations:
         solved = cyclic.underdetermined(cycle, at.residual.reshape(at.slopes.shape), at.slopes)
         size, width = self.family.size, self.family.width
         parts = ((solved.y, solved.x), (solved.way, solved.rate), (solved.other_way, solved.other_rate))
-        solutions = [join_path(PathVector(points * size, value * width)) for points, value in parts]
-        return LinearSolution(*solutions, cyclic.determinant(cycle._replace(closed=solved.square)))
+        least, null, other = (join_path(PathVector(points * size, value * width)) for points, value in parts)
+        return LinearSolution(least, null, other, cyclic.determinant(cycle._replace(closed=solved.square)))
 
     def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
         """Angles wrapped."""
@@ -234,7 +234,7 @@ class CycleEquations:
         """
         before, after = (split_path(self.family, part.z).points for part in (now, taken))
         collapsed, merged = collapses(before, after, self.family.wrap, self.family.size)
-        return {core.COLLAPSED: collapsed}, merged
+        return {paths.COLLAPSED: collapsed}, merged
 
 
 def collapses(

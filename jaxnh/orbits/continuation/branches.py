@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxnh.orbits.continuation import core
+from jaxnh.orbits.continuation import paths
 from jaxnh.orbits.continuation.arclength import (
     CurveOrbits,
     CycleEquations,
@@ -17,8 +17,8 @@ from jaxnh.orbits.continuation.arclength import (
     orbits_of,
     solution_of,
 )
-from jaxnh.orbits.continuation.core import STEPS, StepControl, Track
 from jaxnh.orbits.continuation.kinds import eigenvalues, test_functions
+from jaxnh.orbits.continuation.paths import STEPS, StepControl, Track
 
 Wanted = Callable[[Sequence["Branch"], int], bool]
 """Decides whether the orbit of a number is still to be followed, with the branches that are whole by now."""
@@ -35,7 +35,7 @@ class Branch:
         tests: test functions of the kinds of the family, (k, kinds).
         multipliers: (k, d).
         residual: largest component of P(u_i) − u_{i+1} in sizes of the motion, (k,).
-        ends: why it ends where it begins, and at its end, numbers in `core.ENDS`. A collapsed one goes on to a point
+        ends: why it ends where it begins, and at its end, numbers in `paths.ENDS`. A collapsed one goes on to a point
             beyond.
     """
 
@@ -72,12 +72,12 @@ def follow_both_ways(
     """
     branches = dict[int, Branch]()
 
-    def is_wanted(tracks: dict[int, Track], k: int) -> bool:
+    def is_wanted(tracks: Mapping[int, Track], k: int) -> bool:
         branches.update({i: _branch(family, track) for i, track in tracks.items() if i not in branches})
         return wanted is None or wanted(list(branches.values()), k)
 
     equations = CycleEquations(family, begun.points.shape[1])
-    tracks = core.follow_both_ways(equations, solution_of(begun), steps, is_wanted, at_once)
+    tracks = paths.follow_both_ways(equations, solution_of(begun), steps, is_wanted, at_once)
     return {k: branches[k] if k in branches else _branch(family, track) for k, track in tracks.items()}
 
 

@@ -16,10 +16,11 @@ from jaxtyping import Bool, Complex, Float
 
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.continuation import core
+from jaxnh.orbits.continuation import core, paths
 from jaxnh.orbits.continuation.arclength import collapses
-from jaxnh.orbits.continuation.core import FINE, Evaluation, LinearSolution, Solution, StepControl
+from jaxnh.orbits.continuation.core import FINE, Evaluation, LinearSolution, Solution
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, closed_determinant, second_compound
+from jaxnh.orbits.continuation.paths import StepControl
 from jaxnh.orbits.multipliers import angle_cosine, multipliers
 from jaxnh.systems.chart import Wrap
 
@@ -68,7 +69,7 @@ class Curve:
         values: of both parameters, (k, 2).
         track: solutions of `BifurcationEquations` there, unknowns in their units.
         multipliers: (k, d).
-        ends: why it ends where it begins, and at its end, numbers in `core.ENDS`.
+        ends: why it ends where it begins, and at its end, numbers in `paths.ENDS`.
     """
 
     kind: int
@@ -149,14 +150,14 @@ def follow_both_ways(
     begun = core.correct(equations, z, tolerance=FINE)
     confirmed = np.flatnonzero(begun.converged)
     curves = list[Curve | None]([None] * len(z))
-    for k, track in core.follow_both_ways(equations, begun.take(confirmed), steps).items():
+    for k, track in paths.follow_both_ways(equations, begun.take(confirmed), steps).items():
         orbits, both = split_unknowns(plane, track.points.z)
         curves[confirmed[k]] = Curve(kind, orbits, both, track.points, multipliers(track.points.blocks), track.ends)
     return curves
 
 
 class BifurcationEquations:
-    """Orbits with a bifurcation of a kind, as equations of the core (`core.Equations`), unknowns in their units."""
+    """Orbits with a bifurcation of a kind as `core.CurveEquations`, unknowns in their units."""
 
     def __init__(self, plane: ParameterPlane, kind: int, unknowns: int) -> None:
         self._plane, self._kind, self._d = plane, kind, len(plane.size)
@@ -193,10 +194,10 @@ class BifurcationEquations:
         """Curves that have come to orbits of a shorter period, or to real multipliers."""
         one, other = split_unknowns(self._plane, now.z)[0], split_unknowns(self._plane, taken.z)[0]
         collapsed, merged = collapses(one, other, self._plane.wrap, self._plane.size)
-        endings = {core.COLLAPSED: collapsed}
+        endings = {paths.COLLAPSED: collapsed}
         if self._kind not in (FOLD, DOUBLING):
             with np.errstate(invalid="ignore"):
-                endings[core.RESONANCE] = np.abs(angle_cosine(multipliers(taken.blocks))) > 1.0
+                endings[paths.RESONANCE] = np.abs(angle_cosine(multipliers(taken.blocks))) > 1.0
         return endings, merged
 
 
