@@ -151,12 +151,14 @@ def correct(
 
 def join_path(path: PathVector) -> Float[np.ndarray, "lanes N"]:
     """Points and parameters as unknowns side by side, N = nd + 1."""
-    return np.concatenate([path.points.reshape(len(path.value), -1), path.value[:, None]], axis=1)
+    lanes, n, d = path.points.shape
+    return np.concatenate([path.points.reshape(lanes, n * d), path.value[:, None]], axis=1)
 
 
 def split_path(family: Family, z: Float[np.ndarray, "lanes N"]) -> PathVector:
     """Points and parameters of unknowns."""
-    return PathVector(z[:, :-1].reshape(len(z), -1, len(family.size)), z[:, -1])
+    d = len(family.size)
+    return PathVector(z[:, :-1].reshape(len(z), (z.shape[1] - 1) // d, d), z[:, -1])
 
 
 def orbits_of(family: Family, solution: Solution) -> CurveOrbits:
@@ -192,7 +194,7 @@ class CycleEquations:
         missing = self.family.wrap(np.roll(points, -1, 1) - np.asarray(image).reshape(points.shape)) / size
         blocks = np.asarray(matrix).reshape(lanes, n, d, d) * (size / size[:, None])
         columns = np.asarray(column).reshape(points.shape) * (self.family.width / size)
-        return Evaluation(missing.reshape(lanes, -1), blocks, columns)
+        return Evaluation(missing.reshape(lanes, n * d), blocks, columns)
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
         """By elimination around the orbit; no product is formed."""

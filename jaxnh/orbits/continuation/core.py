@@ -157,7 +157,7 @@ def correct(
             solution = _unsolved(z, at.blocks)
         solution.residual[active] = np.abs(at.residual).max(axis=1, initial=0.0)
         solution.blocks[active] = at.blocks
-        finite = np.all([np.isfinite(leaf.reshape(len(leaf), -1)).all(axis=1) for leaf in at], axis=0)
+        finite = np.all([np.isfinite(leaf).all(axis=tuple(range(1, leaf.ndim))) for leaf in at], axis=0)
         if not finite.all():
             at, active = Evaluation(*(leaf[finite] for leaf in at)), active[finite]
         if not len(active):
