@@ -89,20 +89,30 @@ def underdetermined(
     """The solutions with one unknown more, which all equations know; `closed` itself may be singular, as at a fold."""
     (last, known), (last_column, known_column) = _eliminated_sides(cycle, right), _eliminated_sides(cycle, column)
     wide = np.concatenate([cycle.closed, last_column[..., None]], axis=-1)
-    left, singular, rows = np.linalg.svd(wide, full_matrices=True)
-    shares = (np.swapaxes(left, -1, -2) @ last[..., None])[..., 0]
-    shares = np.where(singular > 0.0, shares / np.where(singular > 0.0, singular, 1.0), 0.0)
-    least = (np.swapaxes(rows[..., :-1, :], -1, -2) @ shares[..., None])[..., 0]
-    null, other = rows[..., -1, :], rows[..., -2, :]
+    least, null, other, square = underdetermined_square(wide, last)
 
     def whole(first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
         x = first[..., -1:]
         return _substitute_back(cycle, first[..., :-1], [k - x * kc for k, kc in zip(known, known_column, strict=True)])
 
     none = [np.zeros_like(k) for k in known]
-    square = np.concatenate([wide, null[..., None, :]], axis=-2)
     ways = (whole(null, none), null[..., -1]), (whole(other, none), other[..., -1])
     return Solutions(whole(least, known), least[..., -1], *ways[0], square, *ways[1])
+
+
+def underdetermined_square(
+    wide: Float[np.ndarray, "... m more"], right: Float[np.ndarray, "... m"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The least solution of m equations of one unknown more, the null direction, and the next singular one.
+
+    And the matrix with the null direction as its last row: bordered, and regular where `wide` has full rank.
+    """
+    left, singular, rows = np.linalg.svd(wide, full_matrices=True)
+    shares = (np.swapaxes(left, -1, -2) @ right[..., None])[..., 0]
+    shares = np.where(singular > 0.0, shares / np.where(singular > 0.0, singular, 1.0), 0.0)
+    least = (np.swapaxes(rows[..., :-1, :], -1, -2) @ shares[..., None])[..., 0]
+    null, other = rows[..., -1, :], rows[..., -2, :]
+    return least, null, other, np.concatenate([wide, null[..., None, :]], axis=-2)
 
 
 def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:

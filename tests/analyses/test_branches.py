@@ -9,8 +9,8 @@ import xarray as xr
 import jaxnh
 from jaxnh.analyses.continuation.branches import ANALYSIS
 from jaxnh.exceptions import ConfigError
-from jaxnh.orbits.continuation.branches import ENDS
 from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.orbits.continuation.paths import ENDS
 from jaxnh.systems.particle import constant_speed
 from tests.flows.normal_forms import normal_form
 from tests.flows.particle import twin

@@ -9,7 +9,8 @@ import jaxnh
 from jaxnh.analyses.continuation import curves
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.bifurcations.codimension_two import POINTS
-from jaxnh.orbits.continuation.curves import Curve, CurvePoints, ParameterPlane, join_unknowns
+from jaxnh.orbits.continuation.core import Solution
+from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, join_unknowns
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.systems.particle import constant_speed
 from tests.flows.normal_forms import normal_form
@@ -24,7 +25,7 @@ def test_a_curve_with_a_point_twice_passes_where_it_did():
     plane = ParameterPlane(None, None, np.ones(1), np.zeros(2), np.ones(2))
     values = np.repeat([0.0, 0.5, 0.5, 1.0], 2).reshape(4, 2)
     points = np.zeros((4, 1, 1))
-    track = CurvePoints(join_unknowns(plane, points, values), *([None] * (len(CurvePoints._fields) - 1)))
+    track = Solution(join_unknowns(plane, points, values), *([None] * (len(Solution._fields) - 1)))
     curve = Curve(0, points, values, track, np.ones((4, 1)), (0, 0))
     for at, there in ((0.25, True), (0.5, True), (0.9, True), (1.5, False)):
         assert curves._passes(plane, curve, curves._Seed(0, np.zeros((1, 1)), np.array([at, at]))) is there
@@ -75,7 +76,7 @@ def test_doublings_of_the_particle_over_two_parameters(target):
     """
     settings = [
         "sweep={b: {start: 5.4, stop: 5.7, count: 5}, a: {start: 0.48, stop: 0.52, count: 3}}",
-        "analyses={curves: {max_period: 2, transient: 256, n_values: 1, step: 0.05}}",
+        "analyses={curves: {max_period: 2, transient: 256, n_values: 1, ds_max: 0.05}}",
         f"accuracy.target={target}",
     ]
     experiment = jaxnh.load(ROOT / "configs/chart_b_a.yaml", settings)

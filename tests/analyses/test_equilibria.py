@@ -14,8 +14,8 @@ from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.analyses.random_starts import random_start_batch
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.section import Crossing, Section, begin
-from jaxnh.orbits.continuation.branches import StepControl
 from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.orbits.continuation.paths import StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.helpers.batches import batch_of

@@ -39,7 +39,7 @@ analyses:
   chaos01: {transient: 4, periods: 100}
   verdict: {}
   basins: {transient: 32, max_periods: 64}
-  branches: {max_period: 1, transient: 30, step: 0.1}
+  branches: {max_period: 1, transient: 30, ds_max: 0.1}
   windows: {max_period: 1, transient: 30, levels: 0, crisis: 0}
   transients: {n_starts: 16, box: {x1: [-0.1, 0.1]}, max_periods: 16}
 """

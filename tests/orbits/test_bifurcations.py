@@ -9,8 +9,8 @@ import pytest
 from jaxnh.analyses.continuation.families import equilibrium_family, orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.periodic.location import refined_maps
-from jaxnh.orbits.continuation.branches import ENDS, STEPS
 from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.orbits.continuation.paths import ENDS, STEPS
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses.continuation.families import orbit_family
-from jaxnh.orbits.continuation.arclength import FINE, along_parameter, correct
-from jaxnh.orbits.continuation.branches import COLLAPSED, ENDS, RANGE, follow_both_ways
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.continuation.arclength import Family, along_parameter, correct
+from jaxnh.orbits.continuation.branches import follow_both_ways
+from jaxnh.orbits.continuation.core import FINE
+from jaxnh.orbits.continuation.paths import COLLAPSED, ENDS, RANGE
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.flows.duffing_resonance import by_scipy, duffing
@@ -52,7 +55,9 @@ def test_branch_ends_where_it_was_born_in_a_doubling():
     assert sorted(branch.ends) == sorted((COLLAPSED, RANGE))
     p = branch.value
     gap = np.sqrt((1 - 3 / p) * (1 + 1 / p))
-    assert np.abs(np.abs(branch.points[:, 0, 0] - branch.points[:, 1, 0]) - gap).max() < 1e-10
+    # The equations of a doubled orbit are as steep in the gap as its square: roundings of them are divided by that.
+    rounding = 1e-10 + 2 * np.finfo(float).eps / gap**2
+    assert np.all(np.abs(np.abs(branch.points[:, 0, 0] - branch.points[:, 1, 0]) - gap) < rounding)
     assert p.min() < 3.01
 
 
@@ -81,3 +86,32 @@ def test_resonance_of_duffing(resonance):
         exact = np.linalg.eigvals(matrix)
         assert np.abs(np.sort_complex(exact) - np.sort_complex(branch.multipliers[k])).max() < 1e-9
     assert np.abs(branch.multipliers[middle, 0]) > 1 > np.abs(branch.multipliers[0, 0])
+
+
+# ---- an imperfect pitchfork
+
+
+def imperfect(break_):
+    """x → x + μ x − x³ + ε: its fixed points are μ = x² − ε/x, one curve for x > 0 and one for x < 0."""
+
+    def period(u, mu):
+        x = u[:, 0]
+        slope = (1 + mu - 3 * x**2)[:, None, None]
+        return Derivatives((x + mu * x - x**3 + break_)[:, None], slope, u)
+
+    return Family(period, lambda gap: gap, np.ones(1), -0.5, 0.5)
+
+
+@pytest.mark.parametrize("break_", [1e-4, 1e-6, 1e-8])
+def test_branch_stays_on_its_side_of_an_imperfect_pitchfork(break_):
+    """The curve of x > 0 comes as near as ε^(1/3) to where the others almost cross it, and goes on to small x."""
+    family = imperfect(break_)
+    for x in (np.sqrt(0.4), -np.sqrt(0.4)):
+        branch = follow_both_ways(family, begun(family, [[x]], 0.4))[0]
+        assert branch.ends == (RANGE, RANGE)
+        followed = branch.points[:, 0, 0]
+        assert np.all(np.sign(followed) == np.sign(x))
+        # μ is known to rounding and to the square of Newton's last step, which the curve's slope in x enlarges.
+        slope = np.abs(2 * followed + break_ / followed**2)
+        assert np.all(np.abs(branch.value - (followed**2 - break_ / followed)) < 1e-11 * (1 + slope))
+        assert sorted(np.sign(branch.value[[0, -1]])) == ([-1, 1] if x > 0 else [1, 1])

@@ -11,8 +11,9 @@ from jaxnh.analyses.continuation.families import parameter_plane
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, special_points
 from jaxnh.orbits.bifurcations.curve_errors import errors_of_special, refine_curve
-from jaxnh.orbits.continuation.curves import CLOSED, RANGE, RESONANCE, ParameterPlane, follow_both_ways
+from jaxnh.orbits.continuation.curves import ParameterPlane, follow_both_ways
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.orbits.continuation.paths import CLOSED, RANGE, RESONANCE, StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.helpers import taylor
@@ -201,7 +202,7 @@ def test_torus_boundary_of_van_der_pol(lanes, steps, near):
     for _ in range(6):  # Newton, towards where it no longer does
         image, matrix = by_heyoka(at, u)
         u = u - np.linalg.solve((matrix - np.eye(2)).astype(float), (image - u).astype(float))
-    [curve] = follow_both_ways(forced, NEIMARK_SACKER, u[None, None], at[None], 0.05)
+    [curve] = follow_both_ways(forced, NEIMARK_SACKER, u[None, None], at[None], StepControl(0.05))
     found = {POINTS[point.kind]: point for point in special_points(forced, curve)}
     again = [refine_curve(plane, curve) for plane in others]
     for name, half in (("resonance_1_3", np.pi / 3), ("resonance_1_4", np.pi / 4), ("resonance_1_2", np.pi / 2)):

@@ -12,8 +12,10 @@ from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.known_branches import is_on_branch
 from jaxnh.analyses.continuation.seeds import random_wave
 from jaxnh.maps.section import Section, begin
-from jaxnh.orbits.continuation.arclength import FINE, along_parameter, correct
-from jaxnh.orbits.continuation.branches import StepControl, follow_both_ways
+from jaxnh.orbits.continuation.arclength import along_parameter, correct
+from jaxnh.orbits.continuation.branches import follow_both_ways
+from jaxnh.orbits.continuation.core import FINE
+from jaxnh.orbits.continuation.paths import StepControl
 from jaxnh.solvers import SPLITTINGS, dopri8
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.particle import constant_speed
@@ -83,7 +85,7 @@ def test_branches_do_not_feel_each_other(scene, lanes):
     """As many as are found at two values, for the first of their points."""
     orbits = searched(scene, lanes, [6, 8], 4, 2)
     assert len(orbits) >= 4
-    all_agree(scene, lanes, orbits, StepControl(most=10), 1)
+    all_agree(scene, lanes, orbits, StepControl(max_steps=10), 1)
 
 
 @pytest.mark.slow
@@ -91,7 +93,7 @@ def test_many_branches_of_periods_up_to_eight(scene, lanes):
     """All that a search at three values finds, for their first points; every eighth of a period by itself as well."""
     orbits = searched(scene, lanes, [0, 4, 8], 16, 8)
     assert max(len(orbit.points) for orbit in orbits) == 8
-    all_agree(scene, lanes, orbits, StepControl(most=30), 8)
+    all_agree(scene, lanes, orbits, StepControl(max_steps=30), 8)
 
 
 @pytest.mark.slow

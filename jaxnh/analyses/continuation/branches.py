@@ -25,8 +25,8 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.continuation.equilibria import equilibria
-from jaxnh.analyses.continuation.families import orbit_family
+from jaxnh.analyses.continuation.equilibria import cycles_at_hopf_points, equilibria
+from jaxnh.analyses.continuation.families import orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
@@ -34,7 +34,7 @@ from jaxnh.analyses.options.orbits import BranchesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.orbits.continuation.branches import StepControl
+from jaxnh.maps.section import Section
 
 _WORK = 3.0  # of a run, in those of settling: a guess
 
@@ -118,11 +118,14 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)
 
-    steps = StepControl(options.step, options.max_points)
-    grown = [FollowedBranches(grow(families, waves, options.max_period, steps, stage), families[0], batch)]
+    steps = step_control(options)
+    still = list[FollowedBranches]()
     if options.equilibria:
-        grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
-    return datasets(lanes, grown, options.max_period)
+        still.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
+        if isinstance(batch.system, Section):
+            waves.append(cycles_at_hopf_points(still[0], families[0], batch.system))
+    orbits = FollowedBranches(grow(families, waves, options.max_period, steps, stage), families[0], batch)
+    return datasets(lanes, [orbits, *still], options.max_period)
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:

@@ -28,7 +28,7 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
-from jaxnh.analyses.continuation.families import orbit_family, parameter_plane
+from jaxnh.analyses.continuation.families import orbit_family, parameter_plane, step_control
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import CurvesOptions
@@ -36,9 +36,9 @@ from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.bifurcations.curve_errors import errors_of_points, errors_of_special, refine_curve
-from jaxnh.orbits.continuation.branches import StepControl
-from jaxnh.orbits.continuation.curves import ENDS, Curve, ParameterPlane, follow_both_ways, join_unknowns
+from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, follow_both_ways, join_unknowns
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
+from jaxnh.orbits.continuation.paths import ENDS, STEPS
 
 _OWN_NAMES = (
     "curve", "point", "codimension_two", "multiplier", "part", "kind", "period", "multipliers", "begins", "ends",
@@ -112,13 +112,13 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     plane, *others = (
         parameter_plane(batches[0], lanes, strobe, size, names, low, high) for strobe in refined_maps(batches[0])
     )
-    curves = list[Curve]()
+    curves, steps = list[Curve](), step_control(options)._replace(max_steps=STEPS.max_steps)
     for batch, survey, value in zip(batches, surveys, chosen.tolist(), strict=True):
         period = np.where(survey.failed, 0, survey.period)
         waves = attractor_waves(batch, lanes, survey.u, period)
         families = [orbit_family(batch, lanes, strobe, size, (low[0], high[0])) for strobe in refined_maps(batch)]
         with lanes.stage(f"curves: bifurcations at {second.name} = {value:g}", 0):
-            tree = grow(families, waves, options.max_period, StepControl(options.step))
+            tree = grow(families, waves, options.max_period, steps)
         seeds = [
             _Seed(point.kind, point.points, np.array([point.value, value]))
             for point in tree.bifurcations
@@ -157,7 +157,7 @@ def _follow_curves(
         if mine:
             points, values = np.stack([seed.points for seed in mine]), np.stack([seed.values for seed in mine])
             for seed, curve in zip(
-                mine, follow_both_ways(plane, kind, points, values, options.step, options.max_points), strict=True
+                mine, follow_both_ways(plane, kind, points, values, step_control(options)), strict=True
             ):
                 if curve is not None and not any(_passes(plane, other, seed) for other in new):
                     new.append(curve)

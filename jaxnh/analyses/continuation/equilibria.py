@@ -14,8 +14,13 @@ from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.continuation.tables import FollowedBranches
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.random_starts import Box, random_start_batch
-from jaxnh.orbits.continuation.branches import StepControl
+from jaxnh.maps.section import Section
+from jaxnh.orbits.bifurcations.hopf_cycles import SectionPlane, first_cycles, hopf_points
+from jaxnh.orbits.continuation.arclength import Family
+from jaxnh.orbits.continuation.kinds import HOPF
+from jaxnh.orbits.continuation.paths import StepControl
 
+_AMPLITUDES = (0.01, 0.02, 0.05, 0.1, 0.2)  # of cycles at Hopf points that are tried, in sizes of the box
 _FARTHEST = 100.0  # sizes of the box: equilibria further out are none of those looked for
 
 
@@ -55,3 +60,24 @@ def equilibria(
     family = equilibrium_family(batch, lanes, size, ends)
     tree = grow([family] * 3, waves, 1, steps, stage)  # a field has no steps that could be refined
     return FollowedBranches(tree, family, still)
+
+
+def cycles_at_hopf_points(followed: FollowedBranches, family: Family, section: Section) -> list[SeedOrbit]:
+    """The first cycles on the branches that Hopf points begin, where these cross the section.
+
+    Args:
+        followed: equilibria with their bifurcations.
+        family: cycles of the section's map over the same parameter.
+        section: of the flow.
+    """
+    hopf = [point for point in followed.tree.bifurcations if point.kind == HOPF]
+    if not hopf:
+        return []
+    weights = np.zeros(followed.batch.chart.dimension)
+    weights[: len(section.normal or ())] = section.normal or ()
+    if section.normal is None:
+        weights[section.number] = 1.0
+    plane = SectionPlane(weights, section.value, section.direction, section.number)
+    u, value = np.array([point.points[0] for point in hopf]), np.array([point.value for point in hopf])
+    cycles = first_cycles(family, hopf_points(followed.family, u, value), plane, _AMPLITUDES)
+    return [SeedOrbit(cycle.points[0], float(cycle.value[0])) for cycle in cycles]

@@ -10,17 +10,24 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.options.orbits import Continuation
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.section import rates
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.curves import ParameterPlane
+from jaxnh.orbits.continuation.paths import StepControl
 from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
-# On a section, whose returns are of many steps, arithmetic decides: four lanes take a half to a quarter of the time of
-# 32. With a clock a period of few lanes takes most of the time of many, and one program serves.
-_FEW = 4
+# On a section, whose returns are of many steps, arithmetic decides: of the flows in configs/flows eight lanes take the
+# time of four, and 32 take five to ten times as long (derivatives of peroxidase.yaml: 16, 17 and 172 ms).
+_ON_SECTION = 8
+
+
+def step_control(options: Continuation) -> StepControl:
+    """Steps along curves, from the options of an analysis."""
+    return StepControl(options.ds_max, options.max_steps, options.ds, options.ds_min)
 
 
 def orbit_family(
@@ -35,15 +42,16 @@ def orbit_family(
         size: of the motion in each section coordinate.
         ends: of the range of the parameter, the lower one first.
     """
-    name, shared, few = batch.first_axis.name, (strobe, np.int32(1)), _FEW if batch.flow.autonomous else 0
+    name, shared = batch.first_axis.name, (strobe, np.int32(1))
+    tile = _ON_SECTION if batch.flow.autonomous else _TILE
 
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        tile = few if len(u) <= 2 * few else _TILE
         return lanes(derivatives, shared, (u, batch.at_values(values).p), tile=tile, static=(name,))
 
-    return Family(period, batch.chart.wrap, size, *ends)
+    # Both directions of branches fill a tile of long returns; more of them at once may be one branch many times.
+    return Family(period, batch.chart.wrap, size, *ends, at_once=tile // 8)
 
 
 def parameter_plane(

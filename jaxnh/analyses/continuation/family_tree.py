@@ -18,12 +18,13 @@ from jaxtyping import Complex, Float
 from jaxnh.analyses.continuation.known_branches import SAME, is_on_branch, same_orbit
 from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, neutral_pair
 from jaxnh.orbits.bifurcations.normal_forms import cubic
-from jaxnh.orbits.continuation.arclength import FINE, CurveOrbits, Family, along_parameter, correct
-from jaxnh.orbits.continuation.branches import COLLAPSED, Branch, StepControl, follow_both_ways
+from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, along_parameter, correct
+from jaxnh.orbits.continuation.branches import Branch, follow_both_ways
+from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
+from jaxnh.orbits.continuation.paths import COLLAPSED, StepControl
 from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 
-_AT_ONCE = 32  # branches that are followed side by side: together they fill tiles, and few are followed twice
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
 _LOOKED_AT = 9  # points of a branch
 _NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
@@ -131,7 +132,9 @@ def _follow_branches(
         return not is_on_branch(family, others, orbits.points[k], float(orbits.value[k]), near)
 
     with stage(f"branches of period {n} from {len(orbits.value)} orbits"):  # and back through bifurcations as well
-        followed = follow_both_ways(family, orbits, steps, lambda branches, k: is_new([*known, *branches], k), _AT_ONCE)
+        followed = follow_both_ways(
+            family, orbits, steps, lambda branches, k: is_new([*known, *branches], k), family.at_once
+        )
     new = list[Branch]()
     for k, branch in followed.items():
         if len(branch.value) > 1 and is_new(new, k) and not (k < beside and _is_known(family, [*known, *new], branch)):

@@ -17,8 +17,9 @@ from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.section import outputs, plot_plane
 from jaxnh.orbits.bifurcations.normal_forms import CRITICALITIES
 from jaxnh.orbits.continuation.arclength import Family
-from jaxnh.orbits.continuation.branches import ENDS, Branch
+from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.kinds import KINDS, stable
+from jaxnh.orbits.continuation.paths import ENDS
 from jaxnh.systems.flow import Output
 
 OWN_NAMES = (

@@ -30,17 +30,30 @@ class DoublingOptions(Options):
     )
 
 
-class BranchesOptions(Options):
+class Continuation(Options):
+    """Steps along curves, in widths of the sweep's axes and in sizes of the motion; names are AUTO's."""
+
+    ds: float | None = Field(default=None, gt=0, le=0.25, description="First step; by default a tenth of ds_max")
+    ds_min: float = Field(default=1e-7, gt=0, le=0.25, description="Smallest step, where Newton does not converge")
+    ds_max: float = Field(
+        default=0.02, gt=0, le=0.25, description="Largest step along a curve, in widths of the sweep and in sizes"
+    )
+    max_steps: int = Field(default=2000, ge=2, description="Points of a curve to either side of its first, at most")
+
+    @model_validator(mode="after")
+    def _check_steps(self) -> Continuation:
+        if not self.ds_min <= (self.ds or 0.1 * self.ds_max) <= self.ds_max:
+            raise rule("must be between ds_min and ds_max", "ds" if self.ds else "ds_min")
+        return self
+
+
+class BranchesOptions(Continuation):
     """Options of `branches`."""
 
     newton: ClassVar[bool] = True
 
     max_period: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
-    step: float = Field(
-        default=0.02, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"
-    )
-    max_points: int = Field(default=2000, ge=2, description="Points of a branch to either side of its first, at most")
     n_starts: int = Field(
         default=0, ge=0, description="Random starts of Newton for orbits at each of the values searched; needs a box"
     )
@@ -65,7 +78,7 @@ class BranchesOptions(Options):
         return self
 
 
-class CurvesOptions(Options):
+class CurvesOptions(Continuation):
     """Options of `curves`."""
 
     newton: ClassVar[bool] = True
@@ -77,10 +90,7 @@ class CurvesOptions(Options):
     n_values: int = Field(
         default=3, ge=1, description="Number of values of the second axis at which bifurcations are looked for"
     )
-    step: float = Field(
-        default=0.02, gt=0, le=0.25, description="Largest step along a curve, in widths of the axes and in sizes"
-    )
-    max_points: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
+    max_steps: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
 
 
 class WindowsOptions(Options):

@@ -18,10 +18,11 @@ from jaxtyping import Complex, Float, Int
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.continuation.family_tree import Bifurcation, SeedOrbit, Stage, Tree, grow
 from jaxnh.analyses.continuation.known_branches import is_on_branch, same_orbit
-from jaxnh.orbits.continuation import branches
+from jaxnh.orbits.continuation import paths
 from jaxnh.orbits.continuation.arclength import Family, PathVector, length
-from jaxnh.orbits.continuation.branches import Branch, StepControl
+from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, KINDS, kinds, stable
+from jaxnh.orbits.continuation.paths import StepControl
 
 ENDS = ("fold", "branch_point", "range", "not_located", "neimark_sacker", "period_doubling")
 """Ends of ranges in which orbits attract: a bifurcation, the range of the sweep, a place not located. Of two ends the
@@ -187,7 +188,7 @@ def _born_in_doubling(branch: Branch, stretch: Int[np.ndarray, " some"], outside
     """
     at = {0: 0, -1: len(branch.value) - 1}
     own = {int(stretch[0]), int(stretch[-1]), *outside}
-    return next((k for k, place in at.items() if branch.ends[k] == branches.COLLAPSED and place in own), None)
+    return next((k for k, place in at.items() if branch.ends[k] == paths.COLLAPSED and place in own), None)
 
 
 def _origin(family: Family, tree: Tree, branch: Branch, end: int) -> Bifurcation | None:
@@ -229,7 +230,7 @@ def _stretches(family: Family, branch: Branch) -> Iterator[tuple[Int[np.ndarray,
     """
     attracts, count = stable(family, branch.multipliers), len(branch.value)
     side = np.signbit(branch.tests[:, kinds(family).index(BRANCH_POINT)])
-    closed = branch.ends[0] == branches.CLOSED
+    closed = branch.ends[0] == paths.CLOSED
     order = np.roll(np.arange(count), -int(np.argmin(attracts)) if closed else 0)
     cuts = np.flatnonzero(np.diff(attracts[order]) | np.diff(side[order])) + 1
     for first, end in pairwise([0, *cuts.tolist(), count]):
@@ -250,7 +251,7 @@ def _end(family: Family, tree: Tree, number: int, inside: int, outside: int | No
     branch = tree.branches[number]
     known = float(branch.value[inside]), branch.points[inside], branch.multipliers[inside]
     if outside is None:
-        beyond = branch.ends[0 if inside == 0 else 1] == branches.RANGE
+        beyond = branch.ends[0 if inside == 0 else 1] == paths.RANGE
         return End(_RANGE if beyond else _NOT_LOCATED, np.nan, np.nan, *known)
     place, chord = min(inside, outside), _chord(family, branch, inside, outside)
     near = [event for event in tree.bifurcations if event.branch == number and abs(event.place - place) <= 1]

@@ -30,8 +30,10 @@ from jaxnh.analyses.section_points import points_after
 from jaxnh.analyses.windows.crisis import locate_crisis
 from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
-from jaxnh.orbits.continuation.arclength import FINE, Family, along_parameter, correct
-from jaxnh.orbits.continuation.branches import StepControl, follow_both_ways
+from jaxnh.orbits.continuation.arclength import Family, along_parameter, correct
+from jaxnh.orbits.continuation.branches import follow_both_ways
+from jaxnh.orbits.continuation.core import FINE
+from jaxnh.orbits.continuation.paths import StepControl
 
 _DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
 _REACH = 3.0  # distances from the first doubling to where they end that a crisis is looked for beyond; it is near one

@@ -17,9 +17,9 @@ from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.location import critical
 from jaxnh.orbits.bifurcations.normal_forms import cubic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector
+from jaxnh.orbits.continuation.core import Solution
 from jaxnh.orbits.continuation.curves import (
     Curve,
-    CurvePoints,
     ParameterPlane,
     correct,
     split_unknowns,
@@ -86,7 +86,7 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
         ways = curve.track.way[:, -2:]
         for place in np.flatnonzero(np.sum(ways[1:] * ways[:-1], axis=1) < 0.0).tolist():
 
-            def forward(track: CurvePoints, first: np.ndarray = ways[place]) -> np.ndarray:
+            def forward(track: Solution, first: np.ndarray = ways[place]) -> np.ndarray:
                 return track.way[:, -2:] @ first
 
             ends = float(ways[place] @ ways[place]), float(ways[place + 1] @ ways[place])
@@ -95,23 +95,23 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
     return sorted(points, key=lambda point: point.place)
 
 
-def _special(plane: ParameterPlane, kind: int, place: int, at: CurvePoints) -> Special:
+def _special(plane: ParameterPlane, kind: int, place: int, at: Solution) -> Special:
     points, values = split_unknowns(plane, at.z)
     return Special(kind, values[0], place, points[0], multipliers(at.blocks)[0])
 
 
-def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[CurvePoints], Float[np.ndarray, " lanes"]]]:
+def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[Solution], Float[np.ndarray, " lanes"]]]:
     """Test functions by what they show, on curves of a kind."""
     if kind == NEIMARK_SACKER:
 
-        def to_cosine(cosine: float) -> Callable[[CurvePoints], np.ndarray]:
+        def to_cosine(cosine: float) -> Callable[[Solution], np.ndarray]:
             return lambda track: angle_cosine(multipliers(track.blocks)) - cosine
 
         tests = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
         return {CHENCINER: lambda track: _cubic(plane, kind, track), **tests}
     critical = 1.0 if kind == FOLD else -1.0
     other, resonance = (DOUBLING, ONE_ONE) if kind == FOLD else (FOLD, ONE_TWO)
-    tests: dict[int, Callable[[CurvePoints], np.ndarray]] = {
+    tests: dict[int, Callable[[Solution], np.ndarray]] = {
         FOLD_FLIP: lambda track: test_function(other, track.blocks),
         resonance: lambda track: _product_of_others(multipliers(track.blocks), critical),
     }
@@ -128,7 +128,7 @@ def _product_of_others(values: Complex[np.ndarray, "lanes d"], critical: float) 
     return np.real(np.prod(apart, axis=1))
 
 
-def _turning(track: CurvePoints) -> Float[np.ndarray, " lanes"]:
+def _turning(track: Solution) -> Float[np.ndarray, " lanes"]:
     """Sense in which M turns, in two dimensions: zero where M is ±1, which a symmetry can bring about on a curve.
 
     There e^(±iθ) pass −1 or 1 and stay on the circle: cos θ has an extremum, and goes through nothing.
@@ -139,7 +139,7 @@ def _turning(track: CurvePoints) -> Float[np.ndarray, " lanes"]:
     return whole[:, 1, 0] - whole[:, 0, 1]
 
 
-def _cubic(plane: ParameterPlane, kind: int, track: CurvePoints) -> Float[np.ndarray, " lanes"]:
+def _cubic(plane: ParameterPlane, kind: int, track: Solution) -> Float[np.ndarray, " lanes"]:
     """The cubic coefficient of the normal form of each point, over its own number in place of a parameter."""
     points, values = split_unknowns(plane, track.z)
     lanes, n, d = points.shape
@@ -163,17 +163,17 @@ def _cubic(plane: ParameterPlane, kind: int, track: CurvePoints) -> Float[np.nda
 def _locate(
     plane: ParameterPlane,
     curve: Curve,
-    test: Callable[[CurvePoints], np.ndarray],
+    test: Callable[[Solution], np.ndarray],
     place: int,
     ends: tuple[float, float],
-) -> CurvePoints | None:
+) -> Solution | None:
     """The point of a curve between two of its own where a test function is zero; None where it is infinite."""
     track = curve.track.take(slice(place, place + 2))
     chord = track.z[1:] - track.z[:1]
     length = np.linalg.norm(chord, axis=1, keepdims=True)
     first, second = (length * track.way[k : k + 1] for k in (0, 1))
 
-    def at(s: float) -> CurvePoints:
+    def at(s: float) -> Solution:
         left = 1.0 - s
         z = track.z[:1] + s * s * (3.0 - 2.0 * s) * chord + s * left**2 * first - s * s * left * second
         z += (s - np.sum((z - track.z[:1]) * chord) / np.sum(chord**2)) * chord  # onto the hyperplane of the share
@@ -181,7 +181,7 @@ def _locate(
 
     (low, high), (below, above) = (0.0, 1.0), ends
     value, before = ends[0], 0
-    here: CurvePoints | None = None
+    here: Solution | None = None
     for _ in range(_SECANTS):
         s = (low * above - high * below) / (above - below)
         here = at(s)

@@ -14,19 +14,11 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from jaxnh.orbits.continuation.arclength import (
-    FINE,
-    CurveOrbits,
-    Family,
-    PathVector,
-    correct,
-    inner,
-    length,
-    minus,
-    times,
-)
-from jaxnh.orbits.continuation.branches import COLLAPSED, Branch
+from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, correct, inner, length, minus, times
+from jaxnh.orbits.continuation.branches import Branch
+from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, test_functions
+from jaxnh.orbits.continuation.paths import COLLAPSED
 
 _NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)  # Chebyshev nodes of [−1, 1]
 _DEGREE = 3  # two less than what would go through all nodes: the rest shows truncation and rounding

@@ -1,4 +1,4 @@
-"""Orbits on the curve of a family over a parameter: Newton across the curve, and the curve's direction. Host code.
+"""Orbits on the curve of a family over a parameter, and the equations of cycles for the core. Host code.
 
 The unknowns are all n points of the orbit and the parameter, so that folds are points like others (Keller, in
 Applications of Bifurcation Theory, 1977, 359). Lengths are measured in sizes of the motion and in the width of the
@@ -9,6 +9,7 @@ An equilibrium is the orbit of one point of the map u + f(u; λ), with the rate 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
 import jax
@@ -17,16 +18,11 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
+from jaxnh.orbits.continuation import core, paths
+from jaxnh.orbits.continuation.core import ROUGH, Evaluation, LinearSolution, Solution
 from jaxnh.systems.chart import Wrap
 
-FINE = 1e-9
-"""Step of Newton, in lengths, after which an orbit is known to rounding."""
-
-ROUGH = 1e-6
-"""Step of Newton, in lengths, whose square is small enough: between the marked points of a branch."""
-
-_NEWTON_STEPS = 12
-_CONTRACTION = 0.5  # of successive steps; Newton that contracts less is on its way to another curve
+_SAME = 1e-6  # sizes: an orbit this near to one of a shorter period is that one
 
 
 class PeriodAndParameter(Protocol):
@@ -46,6 +42,7 @@ class Family(NamedTuple):
         size: of the motion in each section coordinate, (d,).
         low, high: ends of the range of the parameter.
         field: whether the map is u + f(u), and its orbits equilibria of a field f.
+        at_once: branches that are followed side by side: together they fill tiles, and few are followed twice.
     """
 
     period: PeriodAndParameter
@@ -54,6 +51,7 @@ class Family(NamedTuple):
     low: float
     high: float
     field: bool = False
+    at_once: int = 32
 
     @property
     def width(self) -> float:
@@ -136,93 +134,128 @@ def correct(
     value: Float[np.ndarray, " lanes"],
     across: PathVector,
     tolerance: float = ROUGH,
-    near: Float[np.ndarray, " lanes"] | None = None,
 ) -> CurveOrbits:
     """The orbits on curves nearest to guesses in the hyperplanes across ways, and the direction of the curve there.
 
-    Only lanes where each step is at most half of the one before, or is short, come to rest. Angles go on from those of
-    the guess. The direction of the curve has a positive share of the way.
+    Angles go on from those of the guess. The direction of the curve has a positive share of the way.
 
     Args:
         family: the map.
         points, value: guesses.
         across: ways, to which steps of Newton are orthogonal.
         tolerance: length of a step after which an orbit is known.
-        near: lengths of steps that are too short to lead elsewhere, and need not be half of those before.
     """
-    orbits, last = _initial_orbits(points, value), np.full(len(value), np.inf)
-    open_ = np.arange(len(value))
-    for _ in range(_NEWTON_STEPS + 1):
-        missing, blocks, columns = _equations(family, orbits.points[open_], orbits.value[open_])
-        orbits.residual[open_], orbits.blocks[open_] = np.abs(missing).max(axis=(1, 2)), blocks
-        finite = np.isfinite(missing).all(axis=(1, 2)) & np.isfinite(blocks).all(axis=(1, 2, 3))
-        finite &= np.isfinite(columns).all(axis=(1, 2))
-        open_, missing, blocks, columns = open_[finite], missing[finite], blocks[finite], columns[finite]
-        if not len(open_):
-            break
-        here = PathVector(across.points[open_], across.value[open_])
-        moved, way, other, crossing = _solutions(family, missing, blocks, columns, here)
-        at_rest = last[open_] <= tolerance
-        done = open_[at_rest]
-        for leaf, new in zip((*orbits.way, *orbits.other_way, orbits.crossing), (*way, *other, crossing), strict=True):
-            leaf[done] = new[at_rest]
-        orbits.converged[done] = True
-        size = length(family, moved)
+    z, normal = (join_path(part) for part in (PathVector(points, value), across))
+    return orbits_of(family, core.correct(CycleEquations(family, points.shape[1]), z, normal, tolerance))
+
+
+def join_path(path: PathVector) -> Float[np.ndarray, "lanes N"]:
+    """Points and parameters as unknowns side by side, N = nd + 1."""
+    lanes, n, d = path.points.shape
+    return np.concatenate([path.points.reshape(lanes, n * d), path.value[:, None]], axis=1)
+
+
+def split_path(family: Family, z: Float[np.ndarray, "lanes N"]) -> PathVector:
+    """Points and parameters of unknowns."""
+    d = len(family.size)
+    return PathVector(z[:, :-1].reshape(len(z), (z.shape[1] - 1) // d, d), z[:, -1])
+
+
+def orbits_of(family: Family, solution: Solution) -> CurveOrbits:
+    """The orbits of solutions of `CycleEquations`."""
+    (points, value), way, other = (split_path(family, z) for z in (solution.z, solution.way, solution.other))
+    known = (solution.blocks, solution.determinant, solution.residual, solution.missed, solution.converged)
+    return CurveOrbits(points, value, way, *known, other)
+
+
+def solution_of(orbits: CurveOrbits) -> Solution:
+    """Orbits as solutions of `CycleEquations`."""
+    z, way, other = (
+        join_path(part) for part in (PathVector(orbits.points, orbits.value), orbits.way, orbits.other_way)
+    )
+    return Solution(z, way, other, orbits.crossing, orbits.blocks, orbits.residual, orbits.missed, orbits.converged)
+
+
+class CycleEquations:
+    """P(u_i; λ) = u_{i+1} around orbits of n points, as equations of the core (`core.CurveEquations`)."""
+
+    def __init__(self, family: Family, n: int) -> None:
+        self.family, self._n = family, n
+        self.unit = np.append(np.tile(family.size, n) * np.sqrt(n), family.width)
+        self.low, self.high = np.array([family.low]), np.array([family.high])
+
+    def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
+        """u_{i+1} − P(u_i), ∂P/∂u and ∂P/∂λ, in units of sizes and of the width."""
+        points, value = split_path(self.family, z)
+        lanes, n, d = points.shape
+        size = self.family.size
+        image, matrix, column = self.family.period(points.reshape(-1, d), np.repeat(value, n))
+        assert column is not None
+        missing = self.family.wrap(np.roll(points, -1, 1) - np.asarray(image).reshape(points.shape)) / size
+        blocks = np.asarray(matrix).reshape(lanes, n, d, d) * (size / size[:, None])
+        columns = np.asarray(column).reshape(points.shape) * (self.family.width / size)
+        return Evaluation(missing.reshape(lanes, n * d), blocks, columns)
+
+    def solve(self, at: Evaluation, /) -> LinearSolution:
+        """By elimination around the orbit; no product is formed."""
+        there = np.broadcast_to(-np.eye(at.blocks.shape[-1]), at.blocks.shape)
+        cycle = cyclic.eliminate(at.blocks, there)
+        solved = cyclic.underdetermined(cycle, at.residual.reshape(at.slopes.shape), at.slopes)
+        size, width = self.family.size, self.family.width
+        parts = ((solved.y, solved.x), (solved.way, solved.rate), (solved.other_way, solved.other_rate))
+        least, null, other = (join_path(PathVector(points * size, value * width)) for points, value in parts)
+        return LinearSolution(least, null, other, cyclic.determinant(cycle._replace(closed=solved.square)))
+
+    def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
+        """Angles wrapped."""
+        points, value = split_path(self.family, gap)
+        return join_path(PathVector(self.family.wrap(points), value))
+
+    def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterator[Float[np.ndarray, "lanes N"]]:
+        """The same orbit from each of its points on."""
+        points, value = split_path(self.family, z)
+        return (join_path(PathVector(np.roll(points, m, 1), value)) for m in range(self._n))
+
+    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
+        """Half of how far orbits that have just been born in a doubling are from its orbit."""
+        none = np.zeros(len(now.z))
+        if self._n % 2:
+            return none + np.inf
+        points, way = (split_path(self.family, z).points for z in (now.z, now.way))
+        gap, change = (PathVector(_half_turn(part), none) for part in (points, way))
+        gap = gap._replace(points=self.family.wrap(gap.points))
+        apart = inner(self.family, gap, change) > 0.0
+        return np.where(apart, 0.5 * length(self.family, gap), np.inf)
+
+    def endings(
+        self, now: Solution, taken: Solution, /
+    ) -> tuple[dict[int, Bool[np.ndarray, " lanes"]], Bool[np.ndarray, " lanes"]]:
+        """Orbits that are, or have been on the way, ones of a shorter period; and whether they still are.
+
+        That is a doubling that the branch is born in. Beyond it, it has the same orbits again, half a period on.
+        """
+        before, after = (split_path(self.family, part.z).points for part in (now, taken))
+        collapsed, merged = collapses(before, after, self.family.wrap, self.family.size)
+        return {paths.COLLAPSED: collapsed}, merged
+
+
+def collapses(
+    before: Float[np.ndarray, "lanes n d"],
+    after: Float[np.ndarray, "lanes n d"],
+    wrap: Wrap,
+    size: Float[np.ndarray, " d"],
+) -> tuple[Bool[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
+    """Whether orbits come to those of a shorter period from one place to the next, and whether they are there."""
+    n = before.shape[1]
+    collapsed, merged = np.zeros((2, len(before)), bool)
+    for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):
+        gaps = [wrap(points - np.roll(points, -m, 1)) / size for points in (before, after)]
         with np.errstate(invalid="ignore"):
-            contracts = size <= np.maximum(_CONTRACTION * last[open_], 0.0 if near is None else near[open_])
-            going = ~at_rest & contracts & np.isfinite(size)
-        open_ = open_[going]
-        last[open_] = size[going]
-        orbits.points[open_] += moved.points[going]
-        orbits.value[open_] += moved.value[going]
-        if not len(open_):
-            break
-    orbits.missed[:] = length(family, PathVector(orbits.points - points, orbits.value - value))
-    return orbits
+            merged |= np.sqrt(np.mean(np.sum(gaps[1] ** 2, axis=2), axis=1)) < _SAME
+            collapsed |= merged | (np.sum(np.sum(gaps[0] * gaps[1], axis=2), axis=1) <= 0.0)
+    return collapsed, merged
 
 
-def _initial_orbits(points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]) -> CurveOrbits:
-    """Return orbits at guesses, without anything else known yet."""
-    lanes, _, d = points.shape
-
-    def unknown(*shape: int) -> np.ndarray:
-        return np.full((lanes, *shape), np.nan)
-
-    way, other = (PathVector(unknown(*points.shape[1:]), unknown()) for _ in range(2))
-    blocks = unknown(points.shape[1], d, d)
-    none = (unknown(), unknown(), unknown(), np.zeros(lanes, bool))
-    return CurveOrbits(np.array(points), np.array(value), way, blocks, *none, other)
-
-
-def _equations(
-    family: Family, points: Float[np.ndarray, "lanes n d"], value: Float[np.ndarray, " lanes"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u_{i+1} − P(u_i), ∂P/∂u and ∂P/∂λ, in units of sizes and of the width: (lanes, n, d), (.., d, d), (.., d)."""
-    lanes, n, d = points.shape
-    size = family.size
-    image, matrix, column = family.period(points.reshape(-1, d), np.repeat(value, n))
-    assert column is not None
-    missing = family.wrap(np.roll(points, -1, 1) - np.asarray(image).reshape(points.shape)) / size
-    blocks = np.asarray(matrix).reshape(lanes, n, d, d) * (size / size[:, None])
-    return missing, blocks, np.asarray(column).reshape(points.shape) * (family.width / size)
-
-
-def _solutions(
-    family: Family, missing: np.ndarray, blocks: np.ndarray, columns: np.ndarray, across: PathVector
-) -> tuple[PathVector, PathVector, PathVector, np.ndarray]:
-    """The step of Newton across ways, the direction of the curve, that of another one, and the determinant with it."""
-    there = np.broadcast_to(-np.eye(blocks.shape[-1]), blocks.shape)
-    cycle = cyclic.eliminate(blocks, there)
-    solved = cyclic.underdetermined(cycle, missing, columns)
-    way = PathVector(solved.way * family.size, solved.rate * family.width)
-    step = PathVector(solved.y * family.size, solved.x * family.width)
-    share = inner(family, way, across)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        back = inner(family, step, across) / share
-    step = minus(step, back, way)
-    scale = np.where(share < 0.0, -1.0, 1.0) / length(family, way)
-    crossing = cyclic.determinant(cycle._replace(closed=solved.square)) * np.sign(scale)
-    way = times(scale, way)
-    other = PathVector(solved.other_way * family.size, solved.other_rate * family.width)
-    other = minus(other, inner(family, other, way), way)
-    return step, way, times(1.0 / length(family, other), other), crossing
+def _half_turn(points: np.ndarray) -> np.ndarray:
+    """Differences from each point (or vector) to the one half a period later."""
+    return points - np.roll(points, points.shape[1] // 2, 1)

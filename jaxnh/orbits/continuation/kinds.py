@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Complex, Float
 
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family
@@ -29,11 +29,6 @@ _MAPS, _FIELDS = (FOLD, DOUBLING, NEIMARK_SACKER, BRANCH_POINT), (FOLD, HOPF, BR
 def kinds(family: Family) -> tuple[int, ...]:
     """Kinds of bifurcations that there are test functions for, in their order."""
     return _FIELDS if family.field else _MAPS
-
-
-def odd(family: Family) -> Bool[np.ndarray, " kinds"]:
-    """Return which test functions change sign where a curve is followed the other way."""
-    return np.isin(kinds(family), (FOLD, BRANCH_POINT))
 
 
 def test_functions(family: Family, orbits: CurveOrbits) -> Float[np.ndarray, "lanes kinds"]:

@@ -6,7 +6,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.orbits.continuation.arclength import FINE, CurveOrbits, Family, PathVector, correct, inner, length, times
+from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, correct, inner, length, times
+from jaxnh.orbits.continuation.core import FINE
 
 # Lengths are in sizes of most lanes' motion: an orbit that is thirty times as small bends so much sooner.
 _AWAY = (4e-3, 1e-3, 2.5e-4, 6e-5, 1.5e-5)  # from the bifurcation, in lengths, tried in this order
