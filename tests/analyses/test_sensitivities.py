@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnh.engine.experiment import load
+from jaxnh.orbits.continuation.kinds import KINDS
 from tests.flows import known_maps
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
@@ -81,3 +82,92 @@ def test_doublings_of_the_tables(name):
         assert np.all(np.isfinite(rates))
         assert np.all(np.abs(rates - exact) < 1e-6 * np.abs(exact)), parameter
         assert np.all(errors < 1e-6 * np.abs(exact)), parameter
+
+
+HOPF = """\
+def system(mu=0.1, omega=2.0):
+    def rhs(s, t):
+        x, y = s
+        growth = mu - x * x - y * y
+        return growth * x - omega * y, growth * y + omega * x
+
+    return {"rhs": rhs, "coordinates": ("x", "y")}
+"""
+"""r′ = (μ − r²) r, θ′ = ω: the cycle takes T = 2π/ω and has the multiplier exp(−2 μ T)."""
+
+
+def check(data, name, exact, largest):
+    """Within their errors, which are small."""
+    for parameter, truth in exact.items():
+        rates, errors = (data[f"{name}_sensitivity{end}"].sel(parameter=parameter).to_numpy() for end in ("", "_error"))
+        assert np.all(np.abs(rates - truth) <= errors), parameter
+        assert np.all(errors < largest), parameter
+
+
+def test_cycle_without_a_clock(user_map):
+    """Multiplier and time of the cycle of Hopf's normal form, over μ that lanes have and ω that they share."""
+    config = """\
+initial: {x: 0.6, y: 0.0}
+section: {coordinate: y, value: 0.0, direction: up}
+sweep: {mu: {values: [0.3, 0.4]}}
+accuracy: {target: 1.0e-9}
+analyses:
+  period: {transient: 16, sensitivities: true}
+"""
+    data, mu, turn = user_map(HOPF, config).run("period"), np.array([0.3, 0.4]), np.pi
+    multiplier = np.exp(-2 * mu * turn)
+    assert np.abs(data["time"] - turn).max() < 1e-9
+    check(data, "multiplier", {"mu": -2 * turn * multiplier, "omega": mu * turn * multiplier}, 1e-7)
+    check(data, "time", {"mu": 0.0, "omega": -turn / 2}, 1e-7)
+
+
+def test_multipliers_of_the_logistic_map(user_map):
+    """2 − r of the fixed point, 4 + 2r − r² of the cycle of two; where there is no orbit there is no derivative."""
+    config = (
+        "initial: {x: 0.3}\nsweep: {r: {values: [2.5, 3.2, 3.4, 3.9]}}\nanalyses:\n  period: {sensitivities: true}\n"
+    )
+    data = user_map(known_maps.LOGISTIC, config).run("period")
+    assert data["period"].to_numpy().tolist() == [1, 2, 2, 0]
+    check(data.isel(r=slice(3)), "multiplier", {"r": [1.0, 2 - 2 * 3.2, 2 * 3.4 - 2]}, 1e-8)
+    assert np.isnan(data["multiplier_sensitivity"][3]).all()
+
+
+def test_bifurcations_of_henons_map(user_map):
+    """The fold at a = −(1 − b)²/4 and the doubling at 3 (1 − b)²/4, on one branch."""
+    config = """\
+initial: {x: 0.5, y: 0.1}
+sweep: {a: {start: -0.2, stop: 0.6, count: 8}}
+analyses:
+  branches: {max_period: 1, sensitivities: true}
+"""
+    data = user_map(known_maps.HENON, config).run("bifurcations")
+    assert [KINDS[kind] for kind in data["kind"].to_numpy()] == ["fold", "period_doubling"]
+    check(data, "a", {"b": [0.5 * 0.7, -1.5 * 0.7]}, 1e-8)
+
+
+TURN = """\
+import jax.numpy as jnp
+
+def system(mu=0.1, q=0.3, turn=1.0):
+    def image(s):
+        x, y = s[0] - q, s[1]
+        growth = 1.0 + mu - q**2 - x**2 - y**2
+        c, s = growth * jnp.cos(turn), growth * jnp.sin(turn)
+        return q + c * x - s * y, s * x + c * y
+
+    return {"map": image, "coordinates": ("x", "y")}
+"""
+"""A turn about (q, 0): its multipliers have the modulus 1 + μ − q²."""
+
+
+def test_neimark_sacker_bifurcation(user_map):
+    """At μ = q²: 2 q in q, and nothing in the angle of the turn."""
+    config = """\
+initial: {x: 0.35, y: 0.0}
+sweep: {mu: {start: -0.3, stop: 0.3, count: 8}}
+analyses:
+  branches: {max_period: 1, sensitivities: true}
+"""
+    data = user_map(TURN, config).run("bifurcations")
+    assert [KINDS[kind] for kind in data["kind"].to_numpy()] == ["neimark_sacker"]
+    check(data, "mu", {"q": 0.6, "turn": 0.0}, 1e-8)

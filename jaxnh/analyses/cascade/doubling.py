@@ -25,9 +25,9 @@ from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_lim
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 from jaxnh.analyses.options.orbits import DoublingOptions
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits
-from jaxnh.analyses.periodic.sensitivities import (
+from jaxnh.analyses.periodic.sensitivities import doubling_sensitivities
+from jaxnh.analyses.periodic.sensitivity_tables import (
     absent_words,
-    doubling_sensitivities,
     sensitivity_cells,
     sensitivity_heads,
     sensitivity_variables,

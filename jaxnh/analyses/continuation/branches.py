@@ -122,7 +122,7 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     grown = [FollowedBranches(grow(families, waves, options.max_period, steps, stage), families[0], batch)]
     if options.equilibria:
         grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
-    return datasets(lanes, grown, options.max_period)
+    return datasets(lanes, grown, options.max_period, derived=bool(options.sensitivities))
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:

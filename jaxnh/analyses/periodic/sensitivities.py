@@ -1,6 +1,7 @@
 """Sensitivities of a batch: derivatives of its doublings, multipliers and periods in every parameter of its flow.
 
-The mathematics is `bifurcations.sensitivities`; here are the maps with a parameter shifted, and the numbers as variables.
+The mathematics is `bifurcations.sensitivities`; here are the maps with a parameter shifted. How results have them is
+`sensitivity_tables`.
 """
 
 from __future__ import annotations
@@ -11,11 +12,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Complex, Float, Int
 
-from jaxnh.analyses.base import Entry, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.periodic.attractor_survey import Survey
 from jaxnh.analyses.periodic.location import LocatedDoubling, refined_maps
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
 from jaxnh.maps.family import Maps, ParameterFamily
@@ -26,10 +26,16 @@ from jaxnh.orbits.bifurcations.sensitivities import (
     ShiftedMap,
     ShiftedTime,
     doubling_rates,
+    fold_rates,
     implicit_rates,
+    modulus_rates,
     orbit_motions,
+    time_rates,
 )
-from jaxnh.systems.flow import UNSAID, Parameters
+from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.orbits.multipliers import multipliers
+from jaxnh.orbits.shooting import close_orbits
+from jaxnh.systems.flow import Parameters
 
 Numbers = tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " numbers"]]
 """Derivatives in some parameters, and their errors."""
@@ -82,6 +88,7 @@ def sensitivities(
     rates: Rates,
     *,
     timed: bool = False,
+    isolated: Sequence[bool] | None = None,
 ) -> Sensitivities:
     """Derivatives of a number of each orbit in all parameters, by the map with twice the steps the accuracy asks for.
 
@@ -93,6 +100,7 @@ def sensitivities(
         coarse, fine: the orbits of both maps.
         rates: the number's derivatives.
         timed: whether they need the time of return.
+        isolated: as of `orbit_motions`.
     """
     names, maps = parameter_names(batch), _shifted_maps(batch)
     absent = {name: reason for name in names if (reason := _reason(batch, maps, name))}
@@ -105,13 +113,13 @@ def sensitivities(
         blocks = np.split(flat, np.cumsum([len(orbit) for orbit in at.orbits])[:-1])
         time = _times(batch, lanes, maps, at.p, refinement) if timed else None
         moved = [
-            orbit_motions(shifted, at.orbits, blocks, name, _scale(batch, name), batch.chart.wrap, time)
+            orbit_motions(shifted, at.orbits, blocks, name, _scale(batch, name), batch.chart.wrap, time, isolated)
             for name in kept
         ]
         results.append(rates(blocks, list(zip(*moved, strict=True))))
     (first, _), (second, error) = (tuple(np.array(part) for part in zip(*found, strict=True)) for found in results)
     names = names[len(kept) - second.shape[1] :]  # that of an implicit number is no function of its own parameter
-    whole, errors = (np.full((len(second), len(names)), np.nan) for _ in range(2))
+    whole, errors = np.full((len(second), len(names)), np.nan), np.full((len(second), len(names)), np.nan)
     places = [place for place, name in enumerate(names) if name in kept]
     whole[:, places], errors[:, places] = second, error + np.abs(second - first)
     return Sensitivities(names, whole, errors, absent)
@@ -121,7 +129,8 @@ def doubling_sensitivities(batch: LaneBatch, lanes: LaneRunner, doublings: Seque
     """Derivatives of the first axis at doublings in all other parameters."""
     names = parameter_names(batch)[1:]
     if not doublings:
-        return Sensitivities(names, *np.full((2, 0, len(names)), np.nan), {})
+        nothing = np.zeros((0, len(names)))
+        return Sensitivities(names, nothing, nothing, {})
 
     def of_map(refinement: int) -> ParametrisedOrbits:
         points = [located.refined[refinement] for located in doublings]
@@ -134,51 +143,117 @@ def doubling_sensitivities(batch: LaneBatch, lanes: LaneRunner, doublings: Seque
     return sensitivities(batch, lanes, of_map(0), of_map(1), rates)
 
 
-def sensitivity_variables(
-    found: Sensitivities, batch: LaneBatch, dim: str, name: str, words: str, units: str
-) -> dict[str, Entry]:
-    """Variables of derivatives of a number, over its own dimension and `parameter`, with their errors.
+class CriticalOrbit(NamedTuple):
+    """The orbit at a bifurcation: kind, a number in `KINDS`, value of the first axis, (n, d) and multipliers (d,)."""
 
-    Args:
-        found: the derivatives.
-        batch: whose flow has the parameters.
-        dim: of the numbers.
-        name, words, units: of the number.
+    kind: int
+    value: float
+    points: Float[np.ndarray, "n d"]
+    multipliers: Complex[np.ndarray, " d"]
+
+
+def bifurcation_sensitivities(batch: LaneBatch, lanes: LaneRunner, points: Sequence[CriticalOrbit]) -> Sensitivities:
+    """Derivatives of the first axis at bifurcations of orbits in all other parameters.
+
+    Not a number where there are none: at branch points, which most changes of a parameter leave none of.
     """
-    each = [batch.flow.labels.units.get(parameter, UNSAID) for parameter in found.names]
-    common = units if set(each) <= {"1"} else UNSAID
-    key, dims = f"{name}_sensitivity", (dim, "parameter")
-    what = f"derivative of {words} in a parameter, all others held"
-    return {
-        "parameter": variable("parameter", np.array(found.names), "parameter of the flow"),
-        "parameter_units": variable(
-            "parameter", np.array(each), "units of the parameter, which divide those of the number"
-        ),
-        key: variable(dims, found.rates, what, common, ancillary_variables=f"{key}_error"),
-        f"{key}_error": variable(dims, found.errors, f"error of the {what}", common),
-    }
+    names, count = parameter_names(batch)[1:], len(points)
+    nothing = Sensitivities(names, np.full((count, len(names)), np.nan), np.full((count, len(names)), np.nan), {})
+    some = np.array([k for k, point in enumerate(points) if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)], int)
+    if not len(some):
+        return nothing
+    every = [points[k] for k in some]
+    values = np.repeat([point.value for point in every], [len(point.points) for point in every])
+    orbits = ParametrisedOrbits([point.points for point in every], batch.at_values(values).p)
+
+    def rates(blocks: Sequence[np.ndarray], motions: Sequence[Sequence[OrbitMotion]]) -> list[Numbers]:
+        of_kind = {
+            FOLD: lambda block, each, _: fold_rates(block, each),
+            DOUBLING: lambda block, each, _: doubling_rates(block, each),
+            NEIMARK_SACKER: lambda block, each, point: modulus_rates(block, each, _on_circle(point.multipliers)),
+        }
+        return [implicit_rates(*of_kind[p.kind](b, m, p)) for b, m, p in zip(blocks, motions, every, strict=True)]
+
+    isolated = [point.kind != FOLD for point in every]
+    derived = sensitivities(batch, lanes, orbits, orbits, rates, isolated=isolated)
+    return _spread(derived, slice(None), some, count)
 
 
-def absent_words(analysis: str, found: Sensitivities) -> str:
-    """Return a line for the user for each parameter in which there is no derivative; "" where there is none."""
-    lines = (f"{analysis}: no derivative in {name}: {reason}" for name, reason in found.absent.items())
-    return "\n".join(lines)
+def _on_circle(multipliers: Complex[np.ndarray, " d"]) -> complex:
+    """Return the multiplier off the real line nearest to the unit circle."""
+    off = np.where(np.abs(np.imag(multipliers)) > 0.0, np.abs(np.abs(multipliers) - 1.0), np.inf)
+    return complex(multipliers[np.argmin(off)])
 
 
-def sensitivity_heads(data: xr.Dataset, name: str) -> tuple[str, ...]:
-    """Return heads of columns of a table for the derivatives of a number, one a parameter; none where none are given."""
-    asked = f"{name}_sensitivity" in data
-    return tuple(f"∂{name}/∂{parameter}" for parameter in data["parameter"].to_numpy()) if asked else ()
+class LaneSensitivities(NamedTuple):
+    """Derivatives of the orbits that lanes are on, a row a lane; not a number where it is on none.
+
+    Attributes:
+        multiplier: of the largest modulus of the multipliers.
+        time: of the time that the orbit takes on a section; None where there is a clock.
+        times: this time, (lanes,).
+    """
+
+    multiplier: Sensitivities
+    time: Sensitivities | None
+    times: Float[np.ndarray, " lanes"]
 
 
-def sensitivity_cells(data: xr.Dataset, name: str, row: int) -> tuple[str, ...]:
-    """Return the cells below, of one number: as many digits as the error leaves, at most eight."""
-    if f"{name}_sensitivity" not in data:
-        return ()
-    rates, errors = (data[f"{name}_sensitivity{end}"].to_numpy()[row] for end in ("", "_error"))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        digits = np.nan_to_num(-np.floor(np.log10(errors)), nan=0.0, posinf=8.0)
-    return tuple(f"{rate:.{int(k)}f}" for rate, k in zip(rates, np.clip(digits, 0, 8), strict=True))
+def lane_sensitivities(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> LaneSensitivities:
+    """Derivatives of the largest multiplier of every lane's orbit, and without a clock of the time that it takes."""
+    timed = batch.flow is not batch.system
+    names, count = parameter_names(batch), len(survey.period)
+    orbits = [_lane_orbits(batch, lanes, strobe, survey) for strobe in refined_maps(batch)[:2]]
+    on_orbit = np.flatnonzero(np.all([[orbit is not None for orbit in each] for each in orbits], axis=0))
+    times = np.full(count, np.nan)
+    tables = [Sensitivities(names, np.full((count, len(names)), np.nan), np.full((count, len(names)), np.nan), {})] * 2
+    if not len(on_orbit):
+        return LaneSensitivities(tables[0], tables[1] if timed else None, times)
+    sizes = survey.period[on_orbit]
+    p = select(dict(batch.p), np.repeat(on_orbit, sizes))
+    coarse, fine = (ParametrisedOrbits([o for o in each if o is not None], p) for each in orbits)
+
+    def rates(blocks: Sequence[np.ndarray], motions: Sequence[Sequence[OrbitMotion]]) -> list[Numbers]:
+        largest = [complex(multipliers(block)[0]) for block in blocks]
+        rows = [modulus_rates(*each) for each in zip(blocks, motions, largest, strict=True)]
+        return rows + [time_rates(each) for each in motions] if timed else rows
+
+    derived = sensitivities(batch, lanes, coarse, fine, rates, timed=timed)
+    parts = [slice(0, len(on_orbit)), slice(len(on_orbit), None)]
+    spread = [_spread(derived, part, on_orbit, count) for part in parts[: 1 + timed]]
+    if timed:
+        each = lanes(return_time, (refined_maps(batch)[1],), (np.concatenate(fine.orbits), p), tile=ORBIT_TILE)
+        times[on_orbit] = np.add.reduceat(each, np.cumsum(np.append(0, sizes[:-1])))
+    return LaneSensitivities(spread[0], spread[1] if timed else None, times)
+
+
+def _spread(derived: Sensitivities, rows: slice, lane: Int[np.ndarray, " some"], count: int) -> Sensitivities:
+    """Return some rows as those of lanes."""
+    tables = np.full((2, count, len(derived.names)), np.nan)
+    tables[:, lane] = derived.rates[rows], derived.errors[rows]
+    return derived._replace(rates=tables[0], errors=tables[1])
+
+
+def _lane_orbits(
+    batch: LaneBatch, lanes: LaneRunner, strobe: Maps, survey: Survey
+) -> list[Float[np.ndarray, "n d"] | None]:
+    """Return all points of the orbit of every lane, of one map."""
+    whole: list[Float[np.ndarray, "n d"] | None] = [None] * len(survey.period)
+    p = dict(batch.p)
+
+    def period(u: Float[np.ndarray, "points d"], lane: Float[np.ndarray, " points"]) -> Derivatives:
+        once = np.ones(len(u), np.int32)
+        return images(lanes, strobe, select(p, lane.astype(int)), once)(u, np.arange(len(u)))
+
+    for n in np.unique(survey.period[(survey.period > 0) & ~survey.failed]).tolist():
+        lane = np.flatnonzero((survey.period == n) & ~survey.failed)
+        points = [survey.u[lane]]
+        while len(points) < n:
+            points.append(np.asarray(period(points[-1], lane.astype(float)).image))
+        closed = close_orbits(period, np.stack(points, axis=1), lane.astype(float), batch.chart.wrap)
+        for k, place in enumerate(lane.tolist()):
+            whole[place] = closed.points[k] if closed.converged[k] else None
+    return whole
 
 
 def _shifted_maps(batch: LaneBatch) -> Callable[[str, float], tuple[Maps, ...]]:

@@ -50,10 +50,10 @@ class OrbitMotion(NamedTuple):
     Attributes:
         column: ∂P/∂q at each point, (n, d).
         column_error: of it.
-        points: du/dq, (n, d); infinite where the orbit has a multiplier one.
+        points: du/dq, (n, d); not a number where the orbit has a multiplier one, zero where it is held.
         blocks: dM/dq along the motion, (n, d, d).
         blocks_error: of it.
-        time: derivative of the time of return of each point, (n,); None where it is not asked for.
+        time: derivative of the time of return of each point, (n,); empty where it is not asked for.
         time_error: of it.
     """
 
@@ -62,8 +62,8 @@ class OrbitMotion(NamedTuple):
     points: Float[np.ndarray, "n d"]
     blocks: Float[np.ndarray, "n d d"]
     blocks_error: Float[np.ndarray, "n d d"]
-    time: Float[np.ndarray, " n"] | None
-    time_error: Float[np.ndarray, " n"] | None
+    time: Float[np.ndarray, " n"] = np.zeros(0)
+    time_error: Float[np.ndarray, " n"] = np.zeros(0)
 
 
 def orbit_motions(
@@ -74,6 +74,7 @@ def orbit_motions(
     scale: float,
     wrap: Wrap,
     time: ShiftedTime | None = None,
+    isolated: Sequence[bool] | None = None,
 ) -> list[OrbitMotion]:
     """Return how each orbit moves with a parameter.
 
@@ -85,15 +86,17 @@ def orbit_motions(
         scale: of the parameter, in which shifts are small.
         wrap: of differences of section coordinates.
         time: the time of return, where its derivative is asked for.
+        isolated: of each orbit, whether it has no multiplier one; others, as at folds, are held where they are.
     """
+    isolated = [True] * len(orbits) if isolated is None else isolated
     at, cuts = np.concatenate(orbits), np.cumsum([len(orbit) for orbit in orbits])[:-1]
     column, column_error = _difference(lambda s: np.asarray(shifted(name, s, at).image), scale, wrap)
-    moved = np.concatenate([_motion(block, part) for block, part in zip(blocks, np.split(column, cuts), strict=True)])
-    finite = np.where(np.isfinite(moved), moved, 0.0)
-    matrices = _difference(lambda s: np.asarray(shifted(name, s, at + s * finite).monodromy), scale)
-    times = _difference(lambda s: np.asarray(time(name, s, at + s * finite)), scale) if time else None
+    each = zip(blocks, np.split(column, cuts), isolated, strict=True)
+    moved = np.concatenate([_motion(block, part) if moves else np.zeros_like(part) for block, part, moves in each])
+    matrices = _difference(lambda s: np.asarray(shifted(name, s, at + s * moved).monodromy), scale)
+    times = _difference(lambda s: np.asarray(time(name, s, at + s * moved)), scale) if time else None
     parts = [np.split(x, cuts) for x in (column, column_error, moved, *matrices, *(times or ()))]
-    return [OrbitMotion(*leaves, *(() if times else (None, None))) for leaves in zip(*parts, strict=True)]
+    return [OrbitMotion(*leaves) for leaves in zip(*parts, strict=True)]
 
 
 def multiplier_rate(
@@ -124,6 +127,11 @@ def fold_rates(
     return np.array(rates), np.array([float(np.sum(np.abs(left) * motion.column_error)) for motion in motions])
 
 
+def time_rates(motions: Sequence[OrbitMotion]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return the derivative of the time that an orbit takes in each of k parameters, and errors."""
+    return np.array([np.sum(motion.time) for motion in motions]), np.array([np.sum(m.time_error) for m in motions])
+
+
 def modulus_rates(
     blocks: Float[np.ndarray, "n d d"], motions: Sequence[OrbitMotion], multiplier: complex
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -148,7 +156,7 @@ def _motion(blocks: Float[np.ndarray, "n d d"], column: Float[np.ndarray, "n d"]
     try:
         return cyclic.solve(cycle, -column)
     except np.linalg.LinAlgError:
-        return np.full_like(column, np.inf)
+        return np.full_like(column, np.nan)
 
 
 def _null_vectors(
@@ -163,7 +171,7 @@ def _null_vectors(
 def _multiplier_vectors(
     blocks: Float[np.ndarray, "n d d"], multiplier: complex
 ) -> tuple[Complex[np.ndarray, "n d"], Complex[np.ndarray, "n d"]]:
-    """Return φ and ψ of the multiplier nearest to one given, with Σ ψᵀ M' φ its derivative: φ_i before, ψ_i after M_i."""
+    """Return φ and ψ of the multiplier nearest to one given, before and after each M_i: its derivative is Σ ψᵀ M' φ."""
     product = np.eye(blocks.shape[-1])
     for block in blocks:
         product = block @ product
@@ -189,16 +197,17 @@ def _difference(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the derivative at zero of an array of numbers, and its error.
 
-    The error is the distance to the difference of fourth order, which bounds truncation, times what rounding needs; and
-    no less than the distance to the second best width.
+    The error is the distance to the difference of fourth order, which bounds truncation, times what rounding needs, and
+    the rounding of the result; no less than the distance to the second best width.
     """
     found, errors = [], []
     for width in _WIDTHS * scale:
-        pairs = [function(x * width) - function(-x * width) for x in _PLACES]
+        sides = [(function(x * width), function(-x * width)) for x in _PLACES]
+        pairs = [ahead - behind for ahead, behind in sides]
         rows = np.array([wrap(pair) for pair in pairs] if wrap else pairs)
         sixth, fourth = (np.tensordot(weights, rows, 1) / width for weights in (_SIXTH, _FOURTH))
         found.append(sixth)
-        errors.append(_ROUNDING * np.abs(sixth - fourth))
+        errors.append(_ROUNDING * np.abs(sixth - fourth) + np.spacing(np.max(np.abs(sides), axis=(0, 1))) / width)
     rates, bounds = np.array(found), np.where(np.isfinite(errors), errors, np.inf)
     order = np.argsort(bounds, axis=0, kind="stable")[:2]
     best, second = np.take_along_axis(rates, order, axis=0)
