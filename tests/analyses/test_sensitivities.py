@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jaxnh.analyses.windows.tables import table
 from jaxnh.engine.experiment import load
 from jaxnh.orbits.continuation.kinds import KINDS
 from tests.flows import known_maps
@@ -171,3 +172,31 @@ analyses:
     data = user_map(TURN, config).run("bifurcations")
     assert [KINDS[kind] for kind in data["kind"].to_numpy()] == ["neimark_sacker"]
     check(data, "mu", {"q": 0.6, "turn": 0.0}, 1e-8)
+
+
+MOVED_LOGISTIC = """\
+def system(r=3.9, q=0.3):
+    def image(s):
+        x = s[0] - q
+        return q + (r - q**2) * x * (1.0 - x)
+
+    return {"map": image, "coordinates": "y"}
+"""
+"""The logistic map in y = x + q, of r − q²: all of its bifurcations move by 2 q in q."""
+
+
+def test_ends_of_a_window(user_map):
+    """The window of period 3, from its fold at r − q² = 1 + √8 to its doubling."""
+    config = """\
+initial: {y: 0.6}
+sweep: {r: {start: 3.9, stop: 3.94, count: 42}}
+analyses:
+  windows: {max_period: 3, levels: 0, crisis: 0, sensitivities: true}
+"""
+    session = user_map(MOVED_LOGISTIC, config)
+    data = session.run("windows")
+    [window] = np.flatnonzero(data["period"].to_numpy() == 3)
+    assert float(data["begin"][window]) == pytest.approx(1 + 8**0.5 + 0.09, abs=1e-9)
+    for name in ("begin", "end"):
+        check(data.isel(window=[window]), name, {"q": 0.6}, 1e-7)
+    assert table(data, {}, "").heads[-2:] == ("∂begin/∂q", "∂end/∂q")

@@ -37,7 +37,7 @@ from jaxnh.maps.section import System
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
 _NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")
 _BETWEEN = np.array([1.0, math.pi]) / (1.0 + math.pi)  # shares of two values: no ratio of whole numbers
-_OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
+_OWN_NAMES = ("level", "parameter", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
 _ROUNDING = 1e-14  # of points of an orbit, in sizes of the motion
 _DIGITS = 4  # of a limit in words, at least

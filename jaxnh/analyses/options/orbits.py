@@ -97,7 +97,7 @@ class CurvesOptions(Options):
     max_points: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
 
 
-class WindowsOptions(Options):
+class WindowsOptions(SensitivityOptions):
     """Options of `windows`."""
 
     newton: ClassVar[bool] = True
