@@ -48,6 +48,7 @@ class BranchesOptions(SensitivityOptions):
     """Options of `branches`."""
 
     newton: ClassVar[bool] = True
+    untimed: ClassVar[bool] = True
 
     max_period: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
@@ -83,6 +84,7 @@ class CurvesOptions(Options):
     """Options of `curves`."""
 
     newton: ClassVar[bool] = True
+    untimed: ClassVar[bool] = True
 
     max_period: int = Field(
         default=2, ge=1, le=64, description="Largest period of the orbits whose bifurcations are followed"
@@ -101,6 +103,7 @@ class WindowsOptions(SensitivityOptions):
     """Options of `windows`."""
 
     newton: ClassVar[bool] = True
+    untimed: ClassVar[bool] = True
 
     max_period: int = Field(default=12, ge=1, le=64, description="Largest period of the orbits that windows begin with")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
