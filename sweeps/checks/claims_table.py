@@ -11,6 +11,7 @@ from jaxnh.solvers import SPLITTINGS
 from sweeps.checks.claims_reading import cells, doublings, number, rows, searched
 
 _ACCURACY, _CONSTRAINT = "docs/accuracy.md", "docs/howto/constraint.md"
+_SENSITIVITIES = "docs/howto/sensitivities.md"
 _PEERS = "results/peers.md"
 _PEERS_COMMAND = "python -m sweeps.peers.particle.peers --repeats 3"
 _FLOWS, _FLOWS_COMMAND = "results/peers_flows.md", "python -m sweeps.peers.flows.peers_flows --repeats 3"
@@ -289,6 +290,21 @@ def _governor() -> list[Claim]:
     ]
 
 
+def _sensitivities() -> list[Claim]:
+    """Derivatives of the doublings of the paper's tables, a row a level, of results that are not kept."""
+    page = (Path(__file__).parents[2] / _SENSITIVITIES).read_text(encoding="utf-8")
+    claims, levels = list[Claim](), re.findall(r"^\| \d.*$", page, re.MULTILINE)
+    for row, line in enumerate(levels):
+        name, names, level = (
+            ("table1", ("a", "c", "omega"), row + 1) if row < 6 else ("table2", ("a", "c", "d"), row - 5)
+        )
+        source, quote = f"results/{name}_sensitivities.h5", re.sub(r"(-?\d\.\d+)", r"[\1]", line)
+        command = f"jaxnh sweep configs/{name}.yaml analyses.doubling.sensitivities=true --output {source}"
+        read = doublings(source, "b_sensitivity", level, *names)
+        claims.append(Claim(_SENSITIVITIES, quote, command, source, f"b_sensitivity, level {level}", read, False))
+    return claims
+
+
 def _slowing() -> list[Claim]:
     command = "python -m sweeps.studies.critical_slowing"
 
@@ -383,5 +399,5 @@ def _pictures() -> list[Claim]:
     ]
 
 
-CLAIMS = (*_speeds(), *_tables(), *_governor(), *_bars(), *_slowing(), *_settings(), *_pictures())
+CLAIMS = (*_speeds(), *_tables(), *_governor(), *_sensitivities(), *_bars(), *_slowing(), *_settings(), *_pictures())
 """All claims, in the order of the page."""

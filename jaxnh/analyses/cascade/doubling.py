@@ -28,9 +28,8 @@ from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits
 from jaxnh.analyses.periodic.sensitivities import doubling_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import (
     absent_words,
-    sensitivity_cells,
-    sensitivity_heads,
     sensitivity_variables,
+    sensitivity_words,
 )
 from jaxnh.maps.section import System
 
@@ -255,9 +254,9 @@ def _levels(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) 
             difference = theirs[name][k] - ours[name][k]
             row[1:1] = [f"{theirs[name][k]:.6f}"]
             row[4:4] = [f"{difference:+.1e}", f"{theirs['delta'][k]:.4f}"]
-        rows.append(tuple(_cell(cell) for cell in (*row, *sensitivity_cells(data, name, k))))
-    heads += sensitivity_heads(data, name)
-    return Table("Period doublings", heads, tuple(rows), _limit_words(data) or None)
+        rows.append(tuple(_cell(cell) for cell in row))
+    words = filter(None, (_limit_words(data), sensitivity_words(data, name, "level")))
+    return Table("Period doublings", heads, tuple(rows), "; ".join(words) or None)
 
 
 def _cascades(data: xr.Dataset, others: tuple[str, ...]) -> Table:
