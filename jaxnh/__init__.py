@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import VerdictOptions as Verdict
     from jaxnh.analyses.options import WindowsOptions as Windows
     from jaxnh.engine.experiment import Experiment, load
+    from jaxnh.engine.gradient import gradient
     from jaxnh.engine.run_experiment import run
     from jaxnh.engine.session import Session
     from jaxnh.explorer.bokeh_figure import bokeh_figure
@@ -90,6 +91,7 @@ _HOMES = {
     "disturbed_speed": "systems.particle",
     "figure": "plotting.results",
     "free_particle": "systems.free_particle",
+    "gradient": "engine.gradient",
     "labels": "plotting.meanings",
     "lagrangian": "systems.lagrangian",
     "load": "engine.experiment",
@@ -156,6 +158,7 @@ __all__ = [
     "disturbed_speed",
     "figure",
     "free_particle",
+    "gradient",
     "labels",
     "lagrangian",
     "load",

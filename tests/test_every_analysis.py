@@ -385,6 +385,11 @@ def straight_curve(data, groups):
     assert groups["codimension_two"].sizes["codimension_two"] == 0
 
 
+def no_curve(data, groups):
+    """None: the period decides no multiplier, so that nothing happens along ω at any μ."""
+    assert data.sizes["curve"] == groups["codimension_two"].sizes["codimension_two"] == 0
+
+
 def one_attractor(data, groups):
     """Every start leads to the only one there is at its values."""
     number = lanes_of(data, "attractor")[0]
@@ -554,9 +559,9 @@ KINDS = {
         | {
             "basins": one_attractor,
             "doubling": none_found,
-            "windows": "windows are looked for along a parameter, and omega is what all lanes of a program share",
-            "branches": "the map has no derivative in omega, which all lanes share",
-            "curves": "curves are followed over two parameters, and omega is what all lanes of a program share",
+            "windows": "windows are looked for along one axis; leave out mu",
+            "branches": "branches are followed along one axis; leave out mu",
+            "curves": no_curve,
         },
         moebius.MOEBIUS,
     ),

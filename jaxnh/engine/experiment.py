@@ -5,6 +5,7 @@ Keys of a config, and all checks that need no JAX, are in `config`.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -27,15 +28,14 @@ from jaxnh.config.particle import PoincareSection
 from jaxnh.config.user_system import UserSection
 from jaxnh.config.values import without_values
 from jaxnh.config.yaml_source import from_dict, from_text
+from jaxnh.engine.clocks import decides_clock, scales_time
 from jaxnh.engine.fitting import check_analysis, check_events, check_levels
 from jaxnh.engine.flows import particle_flow, section_of
-from jaxnh.engine.start_states import admit_starts, check_starts, spread_indices
+from jaxnh.engine.start_states import admit_starts, check_starts
 from jaxnh.maps.section import System, begin
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
 from jaxnh.systems.user_file import UserFile, UserFlow
-
-_MOST_CLOCKS = 1000  # values of a parameter at which the period is looked at
 
 
 class Experiment(Config):
@@ -317,19 +317,23 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
         super()._try_out()
 
     def _flow(self, parameters: Mapping[str, float]) -> UserFlow:
-        return self._file.flow({**self._own_parameters(), **parameters}, tuple(parameters))
+        values = {**self._own_parameters(), **parameters}
+        return self._file.flow(values, tuple(parameters), in_periods=self._in_periods)
+
+    @functools.cached_property
+    def _in_periods(self) -> bool:
+        """Whether time is over the period: an axis decides the period, and no result has a time."""
+        untimed = all(options.untimed for options in self.analyses.options().values())
+        swept = {name: grid.grid() for name, grid in self.sweep.grids.items() if name not in self._of_starts}
+        return untimed and scales_time(self._file, self._own_parameters(), swept)
 
     @property
     def _positions(self) -> tuple[str, ...]:
         return self._file.coordinates
 
     def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
-        """Return whether the strobe period depends on a parameter: anywhere near its value, or between these."""
-        picked = values[spread_indices(len(values), _MOST_CLOCKS)]
-        return (
-            flow.is_shared(name)
-            or len({self._file.period({**dict(flow.parameters), name: float(value)}) for value in picked}) > 1
-        )
+        """Return whether the strobe period depends on a parameter, and time is not over the period."""
+        return not self._in_periods and decides_clock(self._file, flow, name, values)
 
     def _admit_starts(
         self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]], given: Mapping[str, Any]

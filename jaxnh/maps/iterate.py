@@ -75,3 +75,8 @@ def derivatives(
     columns = [jnp.stack(chart.lower(state, t.state)) for t in moved]
     by_parameter = jnp.stack(columns[d:], axis=-1) if isinstance(name, tuple) else columns[d] if name else None
     return Derivatives(chart.point(state), jnp.stack(columns[:d], axis=-1), by_parameter)
+
+
+def return_time(strobe: ReturnMap, u: Float[Array, " d"], p: Parameters) -> Float[Array, ""]:
+    """Time from a point of a section to the next crossing, of one lane."""
+    return strobe(strobe.chart.state(u), p).t

@@ -8,6 +8,7 @@ and Morriss, Phys. Rev. E 53 (1996) R5545), and no orbit is attracting.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -141,6 +142,12 @@ class SectionChart(Chart):
     def _without(self, components: tuple[Any, ...]) -> tuple[Any, ...]:
         """Components of the flow's, that which the section gives left out."""
         return *components[: self.number], *components[self.number + 1 :]
+
+
+def with_parameters(system: System, values: Parameters) -> System:
+    """Return a system with other values of some parameters of its flow, of the same structure."""
+    flow = system.flow.with_parameters(values)
+    return replace(system, flow=flow) if isinstance(system, Section) else flow
 
 
 # ---- states of a flow, or crossings of a section of it

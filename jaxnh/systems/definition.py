@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -48,6 +49,10 @@ class DefinedFlow(Flow):
     def lane_parameters(self) -> tuple[str, ...]:
         """Names of the parameters that lanes may have of their own."""
         return tuple(self.values) if self.of_lanes is None else self.of_lanes
+
+    def with_parameters(self, values: Parameters) -> DefinedFlow:
+        """Return the flow with other values of some of its own parameters."""
+        return replace(self, values={**self.values, **values})
 
     def labelled(self, kinds: Mapping[str, str], planes: tuple[tuple[str, str], ...]) -> Labels:
         """Labels from the definition's own `labels` and `units`; angles are in radians.

@@ -96,6 +96,15 @@ class Flow(eqx.Module):
         """Names of the parameters that lanes may have of their own; all that only the flow has may decide a table."""
         return tuple(self.parameters)
 
+    @property
+    def equation_parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that the equations have, those among them that lanes have of their own left out."""
+        return tuple(self.parameters)
+
+    @abc.abstractmethod
+    def with_parameters(self, values: Parameters) -> Flow:
+        """Return the flow with other values of some of its own parameters, of the same structure."""
+
     @abc.abstractmethod
     def is_shared(self, name: str) -> bool:
         """Return whether all lanes of a program share the value of a parameter: it changes their clock or table."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -118,6 +119,15 @@ class IsokineticParticle(Flow):
     def lane_parameters(self) -> tuple[str, ...]:
         """a and b; the others are in the table of kicks."""
         return "a", "b"
+
+    @property
+    def equation_parameters(self) -> tuple[str, ...]:
+        """All, but for d where there is no disturbance."""
+        return tuple(name for name in self.parameters if name != "d" or self.disturbed)
+
+    def with_parameters(self, values: Parameters) -> IsokineticParticle:
+        """Return the particle with other values of some of its parameters."""
+        return replace(self, **values)
 
     def is_shared(self, name: str) -> bool:
         """c, d and ω are in the table of kicks, which all lanes share."""

@@ -56,6 +56,7 @@ from jaxnh.systems.first_order import FirstOrder, first_order
 from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from jaxnh.systems.scaled_time import in_periods
 from jaxnh.systems.switched_mechanics import switched_mechanics
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
@@ -189,18 +190,23 @@ class UserFile:
         """Strobe period, or the unit of time, with these parameters."""
         return unit_of_time(self.define(**parameters))
 
-    def flow(self, parameters: Mapping[str, float], of_lanes: tuple[str, ...] = ()) -> UserFlow:
+    def flow(
+        self, parameters: Mapping[str, float], of_lanes: tuple[str, ...] = (), *, in_periods: bool = False
+    ) -> UserFlow:
         """The system with these parameters.
 
         Args:
             parameters: values of all of them.
             of_lanes: names of those that lanes have of their own, but for those that decide the clock of all.
+            in_periods: whether time is over the period, which then is that of all lanes; of systems that can be
+                (`can_scale_time`).
 
         Raises:
             UserFileError: the equations are other ones a period later.
         """
         self._check_period(parameters)
         define = self.define if self.discrete else self._with_switches
+        define = self._over_period if in_periods else define
         eventful = any(define(**parameters).get(kind) for kind in (*EVENTS, "constraints"))
         of_points = piecewise_smooth if eventful else first_order
         of_mechanics = switched_mechanics if eventful else lagrangian
@@ -212,6 +218,19 @@ class UserFile:
         except InputError as error:
             raise self._fault(self._line_of("rates"), str(error)) from None
         return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
+
+    @functools.cached_property
+    def can_scale_time(self) -> bool:
+        """Whether it is a right-hand side with a period, without jumps, switches and corners."""
+        if self.mechanical or self.discrete:
+            return False
+        definition = self._with_switches(**self.parameters)
+        return "period" in definition and not any(definition.get(kind) for kind in EVENTS)
+
+    @functools.cached_property
+    def _over_period(self) -> Callable[..., Mapping[str, Any]]:
+        """Its definition in time over the period."""
+        return in_periods(self.define)
 
     @functools.cached_property
     def _with_switches(self) -> Callable[..., Mapping[str, Any]]:

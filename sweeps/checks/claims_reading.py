@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 import jaxnh
 
 _NUMBER = re.compile(r"[-+−]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -62,11 +64,12 @@ def searched(source: str, pattern: str) -> Callable[[Path], list[float]]:
     return read
 
 
-def doublings(source: str, variable: str, level: int) -> Callable[[Path], list[float]]:
-    """A variable of `doubling` at a level, the first is 1."""
+def doublings(source: str, variable: str, level: int, *parameters: str) -> Callable[[Path], list[float]]:
+    """A variable of `doubling` at a level, the first is 1; of sensitivities, those in some parameters."""
 
     def read(root: Path) -> list[float]:
         with jaxnh.open_result(root / source) as tree:
-            return [float(tree["doubling"].to_dataset()[variable].to_numpy()[level - 1])]
+            values = tree["doubling"].to_dataset()[variable][level - 1]
+            return np.ravel(values.sel(parameter=list(parameters)) if parameters else values).tolist()
 
     return read

@@ -11,7 +11,7 @@ from jaxnh.solvers import SPLITTINGS
 from sweeps.checks.claims_reading import cells, doublings, number, rows, searched
 
 _ACCURACY, _CONSTRAINT = "docs/accuracy.md", "docs/howto/constraint.md"
-_PEERS = "results/peers.md"
+_SENSITIVITIES, _PEERS = "docs/howto/sensitivities.md", "results/peers.md"
 _PEERS_COMMAND = "python -m sweeps.peers.particle.peers --repeats 3"
 _FLOWS, _FLOWS_COMMAND = "results/peers_flows.md", "python -m sweeps.peers.flows.peers_flows --repeats 3"
 _FLOW_TARGETS = ("error ≤ 1e-06", "error ≤ 1e-08", "error ≤ 1e-10")
@@ -289,6 +289,19 @@ def _governor() -> list[Claim]:
     ]
 
 
+def _sensitivities() -> list[Claim]:
+    """Derivatives of the doublings of the paper's tables, a row a level, of results that are not kept."""
+    page = (Path(__file__).parents[2] / _SENSITIVITIES).read_text(encoding="utf-8")
+    claims, lines = list[Claim](), re.findall(r"^\| \d.*$", page, re.MULTILINE)
+    for name, names, first in (("table1", ("a", "c", "omega"), 0), ("table2", ("a", "c", "d"), 6)):
+        source = f"results/{name}_sensitivities.h5"
+        command = f"jaxnh sweep configs/{name}.yaml analyses.doubling.sensitivities=true --output {source}"
+        for level, line in enumerate(lines[first : first + 6], 1):
+            quote, read = re.sub(r"(-?\d\.\d+)", r"[\1]", line), doublings(source, "b_sensitivity", level, *names)
+            claims.append(Claim(_SENSITIVITIES, quote, command, source, f"b_sensitivity, level {level}", read, False))
+    return claims
+
+
 def _slowing() -> list[Claim]:
     command = "python -m sweeps.studies.critical_slowing"
 
@@ -383,5 +396,5 @@ def _pictures() -> list[Claim]:
     ]
 
 
-CLAIMS = (*_speeds(), *_tables(), *_governor(), *_bars(), *_slowing(), *_settings(), *_pictures())
+CLAIMS = (*_speeds(), *_tables(), *_governor(), *_sensitivities(), *_bars(), *_slowing(), *_settings(), *_pictures())
 """All claims, in the order of the page."""

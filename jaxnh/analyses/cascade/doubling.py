@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -24,13 +24,19 @@ from jaxnh.analyses.cascade.extended_precision import (
 from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_limit
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 from jaxnh.analyses.options.orbits import DoublingOptions
-from jaxnh.analyses.periodic.location import price_of_orbits
+from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits
+from jaxnh.analyses.periodic.sensitivities import doubling_sensitivities
+from jaxnh.analyses.periodic.sensitivity_tables import (
+    absent_words,
+    sensitivity_variables,
+    sensitivity_words,
+)
 from jaxnh.maps.section import System
 
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
 _NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")
 _BETWEEN = np.array([1.0, math.pi]) / (1.0 + math.pi)  # shares of two values: no ratio of whole numbers
-_OWN_NAMES = ("level", "period", "delta", "delta_error", *_NUMBERS)
+_OWN_NAMES = ("level", "parameter", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
 _ROUNDING = 1e-14  # of points of an orbit, in sizes of the motion
 _DIGITS = 4  # of a limit in words, at least
@@ -50,6 +56,8 @@ def independent(options: DoublingOptions) -> bool:
 def check(options: DoublingOptions, setting: Setting) -> None:
     """Check that the first axis is a parameter for which the system exists between grid values."""
     first = setting.axes[0]
+    if options.sensitivities and setting.precision == "extended":
+        raise OptionError("derivatives in parameters are of float64; leave it out", "sensitivities")
     if options.levels > _LEVELS and setting.precision != "extended":
         message = f"float64 tells {_LEVELS} doublings of a cascade apart; more need accuracy.precision: extended"
         raise OptionError(message, "levels")
@@ -81,7 +89,8 @@ def run(options: DoublingOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     in_float64 = min(levels, FLOAT64_LEVELS) if extended else levels
     cascade = follow(batch, lanes, in_float64, search=search)
     if not extended:
-        return _dataset(batch.system, batch.first_axis, levels, cascade)
+        data = _dataset(batch.system, batch.first_axis, levels, cascade)
+        return _with_sensitivities(data, batch, lanes, cascade.doublings) if options.sensitivities else data
     beyond = extended_doublings(batch, lanes, cascade, levels)
     whole = append_extended(batch, cascade, beyond, levels)
     limits = delta_limit(beyond.fine), alpha_limit(beyond.fine, cascade.size, batch.chart.wrap)
@@ -138,6 +147,18 @@ def _dataset(system: System, axis: Axis, levels: int, cascade: Cascade) -> xr.Da
         **({"warnings": warnings} if (warnings := _warnings(axis, levels, cascade)) else {}),
     }
     return xr.Dataset(variables, attrs=attrs)
+
+
+def _with_sensitivities(
+    data: xr.Dataset, batch: LaneBatch, lanes: LaneRunner, doublings: Sequence[LocatedDoubling]
+) -> xr.Dataset:
+    """The dataset with derivatives of all doublings in the other parameters of the flow."""
+    name, levels = batch.first_axis.name, data.sizes["level"]
+    derived = doubling_sensitivities(batch, lanes, doublings).padded(levels)
+    warnings = "\n".join(filter(None, (data.attrs.get("warnings", ""), absent_words("doubling", derived))))
+    words = f"{batch.first_axis.long_name} at the doubling"
+    more = sensitivity_variables(derived, batch, "level", name, words, batch.first_axis.units)
+    return data.assign(more).assign_attrs({"warnings": warnings} if warnings else {})
 
 
 def _extended(
@@ -234,7 +255,8 @@ def _levels(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) 
             row[1:1] = [f"{theirs[name][k]:.6f}"]
             row[4:4] = [f"{difference:+.1e}", f"{theirs['delta'][k]:.4f}"]
         rows.append(tuple(_cell(cell) for cell in row))
-    return Table("Period doublings", heads, tuple(rows), _limit_words(data) or None)
+    words = filter(None, (_limit_words(data), sensitivity_words(data, name, "level")))
+    return Table("Period doublings", heads, tuple(rows), "; ".join(words) or None)
 
 
 def _cascades(data: xr.Dataset, others: tuple[str, ...]) -> Table:

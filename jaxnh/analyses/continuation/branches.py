@@ -125,7 +125,7 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
         if isinstance(batch.system, Section):
             waves.append(cycles_at_hopf_points(still[0], families[0], batch.system))
     orbits = FollowedBranches(grow(families, waves, options.max_period, steps, stage), families[0], batch)
-    return datasets(lanes, [orbits, *still], options.max_period)
+    return datasets(lanes, [orbits, *still], options.max_period, derived=bool(options.sensitivities))
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:

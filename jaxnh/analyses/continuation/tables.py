@@ -13,6 +13,13 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Entry, Table, flag, number_variable, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
+from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, bifurcation_sensitivities
+from jaxnh.analyses.periodic.sensitivity_tables import (
+    absent_words,
+    sensitivity_cells,
+    sensitivity_heads,
+    sensitivity_variables,
+)
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.section import outputs, plot_plane
 from jaxnh.orbits.bifurcations.normal_forms import CRITICALITIES
@@ -24,7 +31,7 @@ from jaxnh.systems.flow import Output
 
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
-    "begins", "ends", "points", "kind", "criticality", "coefficient",
+    "begins", "ends", "points", "kind", "criticality", "coefficient", "parameter",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
@@ -52,13 +59,16 @@ class _Table(Protocol):
         ...
 
 
-def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -> dict[str, xr.Dataset]:
+def datasets(
+    lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int, *, derived: bool = False
+) -> dict[str, xr.Dataset]:
     """Both groups: branches in the order of their periods, bifurcations in that of the parameter.
 
     Args:
         lanes: runs lanes.
         grown: first the orbits, then, where there are any, the equilibria, whose period is 0.
         limit: of the period.
+        derived: whether bifurcations have derivatives in the other parameters.
     """
     batch = grown[0].batch
     axis, trees = batch.first_axis, [part.tree for part in grown]
@@ -76,9 +86,16 @@ def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -
     lost = sum(tree.lost for tree in trees)
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
     points = _bifurcations(lanes, grown, bifurcations, [rank[of, point.branch] for of, point in bifurcations])
+    own = {"along": axis.name}
+    if derived:
+        critical = [CriticalOrbit(-1 if of else p.kind, p.value, p.points, p.multipliers) for of, p in bifurcations]
+        rates = bifurcation_sensitivities(batch, lanes, critical)
+        words = f"{axis.long_name} at the bifurcation"
+        points |= sensitivity_variables(rates, batch, "bifurcation", axis.name, words, axis.units)
+        own |= {"warnings": reasons} if (reasons := absent_words("bifurcations", rates)) else {}
     return {
         "branches": xr.Dataset(branches, attrs=attrs),
-        "bifurcations": xr.Dataset(points, attrs={"along": axis.name}),
+        "bifurcations": xr.Dataset(points, attrs=own),
     }
 
 
@@ -187,8 +204,9 @@ def bifurcations_table(data: xr.Dataset) -> Table:
         born = CRITICALITIES[int(criticality[k]) + 1] if criticality[k] else "–"
         decimals = int(np.clip(-np.floor(np.log10(error[k])), 0, 15)) if error[k] > 0 else 15
         at = f"{value[k]:.{decimals}f} ± {error[k]:.1g}"
-        rows.append((KINDS[int(kind[k])].replace("_", " "), of, at, born))
-    return Table("Bifurcations", ("bifurcation", "period", name, "criticality"), tuple(rows), left=(0, 3))
+        rows.append((KINDS[int(kind[k])].replace("_", " "), of, at, born, *sensitivity_cells(data, name, k)))
+    heads = ("bifurcation", "period", name, "criticality", *sensitivity_heads(data, name))
+    return Table("Bifurcations", heads, tuple(rows), left=(0, 3))
 
 
 def _dimension(grown: Sequence[FollowedBranches]) -> int:

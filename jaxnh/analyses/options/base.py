@@ -51,6 +51,7 @@ class Options(BaseModel, metaclass=_OptionsType):
         in_time: whether it follows a flow without a clock in time, and needs no section of it.
         newton: whether it rests on Newton for orbits, for which single precision is too coarse.
         extended: whether it makes use of `accuracy.precision: extended`.
+        untimed: whether its results have no time, so that the flow may be in time over its period.
     """
 
     model_config = Block.model_config
@@ -59,6 +60,7 @@ class Options(BaseModel, metaclass=_OptionsType):
     in_time: ClassVar[bool] = False
     newton: ClassVar[bool] = False
     extended: ClassVar[bool] = False
+    untimed: ClassVar[bool] = False
 
 
 def rule(message: str, *keys: str) -> PydanticCustomError:

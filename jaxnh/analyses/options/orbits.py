@@ -4,12 +4,26 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from jaxnh.analyses.options.base import Options, Side, check_random_starts, check_sides, rule
 
 
-class PeriodOptions(Options):
+class SensitivityOptions(Options):
+    """Options of analyses whose numbers have derivatives in the parameters of the flow."""
+
+    sensitivities: bool | None = Field(
+        default=None, description="Whether to give the derivatives of its numbers in every parameter of the flow too"
+    )
+
+    @field_validator("sensitivities")
+    @classmethod
+    def _leave_out(cls, asked: bool | None) -> bool | None:
+        """Return None for no, as where nothing is said: what decides no number is in no hash."""
+        return asked or None
+
+
+class PeriodOptions(SensitivityOptions):
     """Options of `period`."""
 
     newton: ClassVar[bool] = True
@@ -18,7 +32,7 @@ class PeriodOptions(Options):
     transient: int = Field(default=512, ge=0, description="Periods before the last look at the strobe points")
 
 
-class DoublingOptions(Options):
+class DoublingOptions(SensitivityOptions):
     """Options of `doubling`."""
 
     newton: ClassVar[bool] = True
@@ -47,10 +61,11 @@ class Continuation(Options):
         return self
 
 
-class BranchesOptions(Continuation):
+class BranchesOptions(Continuation, SensitivityOptions):
     """Options of `branches`."""
 
     newton: ClassVar[bool] = True
+    untimed: ClassVar[bool] = True
 
     max_period: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
@@ -82,6 +97,7 @@ class CurvesOptions(Continuation):
     """Options of `curves`."""
 
     newton: ClassVar[bool] = True
+    untimed: ClassVar[bool] = True
 
     max_period: int = Field(
         default=2, ge=1, le=64, description="Largest period of the orbits whose bifurcations are followed"
@@ -93,10 +109,11 @@ class CurvesOptions(Continuation):
     max_steps: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
 
 
-class WindowsOptions(Options):
+class WindowsOptions(SensitivityOptions):
     """Options of `windows`."""
 
     newton: ClassVar[bool] = True
+    untimed: ClassVar[bool] = True
 
     max_period: int = Field(default=12, ge=1, le=64, description="Largest period of the orbits that windows begin with")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")

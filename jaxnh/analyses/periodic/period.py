@@ -6,11 +6,13 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Analysis, as_variable, number_variable, variable
+from jaxnh.analyses.base import LANE, Analysis, Entry, as_variable, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.orbits import PeriodOptions
-from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import Survey, polish_beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
+from jaxnh.analyses.periodic.sensitivities import lane_sensitivities
+from jaxnh.analyses.periodic.sensitivity_tables import sensitivity_variables
 from jaxnh.analyses.price import Price, newton_price
 from jaxnh.systems.flow import NOT_FINITE, status
 
@@ -39,7 +41,20 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
         "multiplier": variable(LANE, attractors.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
         "status": as_variable(LANE, status(np.where(attractors.failed, NOT_FINITE, 0))),
     }
+    if options.sensitivities:
+        variables |= _sensitivities(batch, lanes, attractors)
     return xr.Dataset(variables, attrs={"max_period": options.max_period, "transient": options.transient})
+
+
+def _sensitivities(batch: LaneBatch, lanes: LaneRunner, attractors: Survey) -> dict[str, Entry]:
+    """Variables of what the largest multiplier, and without a clock the time of an orbit, depend on."""
+    derived, words = lane_sensitivities(batch, lanes, attractors), "the largest modulus of the multipliers"
+    variables = sensitivity_variables(derived.multiplier, batch, LANE, "multiplier", words, "1")
+    if derived.time is not None:
+        words, units = "the time that the orbit takes", batch.flow.labels.units["t"]
+        variables["time"] = variable(LANE, derived.times, words, units)
+        variables |= sensitivity_variables(derived.time, batch, LANE, "time", words, units)
+    return variables
 
 
 def price(options: PeriodOptions, batch: LaneBatch) -> Price:

@@ -14,11 +14,12 @@ from jaxnh.analyses.base import Entry, Table, flag, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, iterate_units
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.location import LocatedDoubling
+from jaxnh.analyses.periodic.sensitivity_tables import sensitivity_cells, sensitivity_heads
 from jaxnh.analyses.windows.search import DOUBLED, ENDS, End, Window, all_lanes
 
 OWN_NAMES = (
     "window", "level", "searched", "spacing", "period", "orbits", "lanes", "first", "last", "begin", "end", "limit",
-    "crisis", "doubling", "multiplier", "part",
+    "crisis", "doubling", "multiplier", "part", "parameter",
 )  # fmt: skip
 """Names of variables and dimensions that the parameter may not have."""
 
@@ -149,8 +150,10 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
         row = data.isel(window=k)
         ends = (cell for name in ("begin", "end") for cell in (_format(row, name), _WORDS[int(row[f"{name}_kind"])]))
         orbits, last = int(row["orbits"]), (_format(row, name) for name in ("limit", "crisis"))
-        rows.append((f"{int(row['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last))
-    heads = ("period", "from", "", "to", "", "limit", "crisis")
+        rates = (cell for name in ("begin", "end") for cell in sensitivity_cells(data, name, k))
+        rows.append((f"{int(row['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last, *rates))
+    derived = (head for name in ("begin", "end") for head in sensitivity_heads(data, name))
+    heads = ("period", "from", "", "to", "", "limit", "crisis", *derived)
     lane = f"one lane of {float(data['spacing']):.3g}"
     words = f"windows of periods up to {data.attrs['largest_period']} wider than {lane}"
     words += "; (2): ± 2 in the last digit; ×2: twins"

@@ -26,13 +26,16 @@ from jaxnh.analyses.crises.band_phase import embed_points
 from jaxnh.analyses.options.orbits import WindowsOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined_maps, walk
+from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, bifurcation_sensitivities
+from jaxnh.analyses.periodic.sensitivity_tables import absent_words, sensitivity_variables
 from jaxnh.analyses.section_points import points_after
 from jaxnh.analyses.windows.crisis import locate_crisis
-from jaxnh.analyses.windows.search import DOUBLED, Window, all_lanes, search
+from jaxnh.analyses.windows.search import DOUBLED, ENDS, End, Window, all_lanes, search
 from jaxnh.analyses.windows.tables import NOWHERE, OWN_NAMES, LocatedValue, dataset, table
 from jaxnh.orbits.continuation.arclength import Family, along_parameter, correct
 from jaxnh.orbits.continuation.branches import follow_both_ways
 from jaxnh.orbits.continuation.core import FINE
+from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.continuation.paths import StepControl
 
 _DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
@@ -55,8 +58,8 @@ def check(options: WindowsOptions, setting: Setting) -> None:
     if first.kind != "lane":
         what = "a coordinate of the start state" if first.kind == "start" else "what all lanes of a program share"
         raise OptionError(f"windows are looked for along a parameter, and {first.name} is {what}" + setting.advice)
-    if others:
-        names = " and ".join(axis.name for axis in others)
+    if several := [axis for axis in others if len(axis.values) > 1]:
+        names = " and ".join(axis.name for axis in several)
         raise OptionError(f"windows are looked for along one axis; leave out {names}")
     if len(np.unique(first.values)) < 2:
         raise OptionError(f"windows are looked for over a range of {first.name}, and the sweep has one value of it")
@@ -95,7 +98,24 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         _crisis(options.crisis, batch, lanes, families, group[0], limit, size)
         for group, limit in zip(windows, limits, strict=True)
     ]
-    return dataset(options.max_period, options.levels, batch, line, windows, doublings, limits, crises)
+    data = dataset(options.max_period, options.levels, batch, line, windows, doublings, limits, crises)
+    return _with_sensitivities(data, batch, lanes, [group[0] for group in windows]) if options.sensitivities else data
+
+
+def _with_sensitivities(data: xr.Dataset, batch: LaneBatch, lanes: LaneRunner, windows: Sequence[Window]) -> xr.Dataset:
+    """Return the dataset with derivatives of both ends of all windows in the other parameters of the flow."""
+    axis, lines = batch.first_axis, dict.fromkeys(str(data.attrs.get("warnings", "")).splitlines())
+    for name in ("begin", "end"):
+        ends: list[End] = [getattr(window, name) for window in windows]
+        kinds = [KINDS.index(ENDS[end.kind]) if ENDS[end.kind] in KINDS else -1 for end in ends]
+        critical = [
+            CriticalOrbit(k, end.value, end.points, end.multipliers) for k, end in zip(kinds, ends, strict=True)
+        ]
+        derived = bifurcation_sensitivities(batch, lanes, critical)
+        words = f"{axis.long_name} at the {name} of the window"
+        data = data.assign(sensitivity_variables(derived, batch, "window", name, words, axis.units))
+        lines |= dict.fromkeys(absent_words("windows", derived).splitlines())
+    return data.assign_attrs({"warnings": "\n".join(lines)} if lines else {})
 
 
 def _doublings(

@@ -1,0 +1,323 @@
+"""Sensitivities of a batch: derivatives of its doublings, multipliers and periods in every parameter of its flow.
+
+The mathematics is `bifurcations.sensitivities`; here are the maps with a parameter shifted. How results have them is
+`sensitivity_tables`.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.periodic.attractor_survey import Survey
+from jaxnh.analyses.periodic.location import LocatedDoubling, refined_maps
+from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
+from jaxnh.maps.family import Maps, ParameterFamily
+from jaxnh.maps.iterate import Derivatives, return_time
+from jaxnh.maps.section import System, with_parameters
+from jaxnh.orbits.bifurcations.sensitivities import (
+    OrbitMotion,
+    ShiftedMap,
+    ShiftedTime,
+    doubling_rates,
+    fold_rates,
+    implicit_rates,
+    modulus_rates,
+    orbit_motions,
+    time_rates,
+)
+from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.orbits.multipliers import multipliers
+from jaxnh.orbits.shooting import close_orbits
+from jaxnh.systems.flow import Parameters
+
+Numbers = tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " numbers"]]
+"""Derivatives in some parameters, and their errors."""
+
+
+class Sensitivities(NamedTuple):
+    """Derivatives of numbers in parameters.
+
+    Attributes:
+        names: of the parameters.
+        rates: (numbers, parameters), not a number where there is no derivative.
+        errors: of them.
+        absent: why there is none, by parameter.
+    """
+
+    names: tuple[str, ...]
+    rates: Float[np.ndarray, "numbers parameters"]
+    errors: Float[np.ndarray, "numbers parameters"]
+    absent: dict[str, str]
+
+    def padded(self, count: int) -> Sensitivities:
+        """Return the derivatives of so many numbers, not a number of those that are missing."""
+        room = [(0, count - len(self.rates)), (0, 0)]
+        rates, errors = (np.pad(table, room, constant_values=np.nan) for table in (self.rates, self.errors))
+        return self._replace(rates=rates, errors=errors)
+
+
+class ParametrisedOrbits(NamedTuple):
+    """Orbits of one map with the parameters of each: (n, d), and of all their points side by side (points,)."""
+
+    orbits: Sequence[Float[np.ndarray, "n d"]]
+    p: Parameters
+
+
+Rates = Callable[[Sequence[Float[np.ndarray, "n d d"]], Sequence[Sequence[OrbitMotion]]], Sequence[Numbers]]
+"""Blocks of each orbit, and its motions with each parameter, to derivatives of a number of each orbit."""
+
+
+def parameter_names(batch: LaneBatch) -> tuple[str, ...]:
+    """Return the names of all parameters of a batch's flow, the first axis first."""
+    axis = (batch.axis.name,) if batch.axis else ()
+    return tuple(dict.fromkeys((*axis, *batch.flow.equation_parameters, *batch.p)))
+
+
+def sensitivities(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    coarse: ParametrisedOrbits,
+    fine: ParametrisedOrbits,
+    rates: Rates,
+    *,
+    timed: bool = False,
+    isolated: Sequence[bool] | None = None,
+) -> Sensitivities:
+    """Derivatives of a number of each orbit in all parameters, by the map with twice the steps the accuracy asks for.
+
+    Their errors are those of the differences, and the distance to what the map with the steps themselves says.
+
+    Args:
+        batch: lanes of one system, or of a family.
+        lanes: runs lanes.
+        coarse, fine: the orbits of both maps.
+        rates: the number's derivatives.
+        timed: whether they need the time of return.
+        isolated: as of `orbit_motions`.
+    """
+    names, maps = parameter_names(batch), _shifted_maps(batch)
+    absent = {name: reason for name in names if (reason := _reason(batch, maps, name))}
+    results = list[Sequence[Numbers]]()
+    kept = tuple(name for name in names if name not in absent)
+    for refinement, at in enumerate((coarse, fine)):
+        shifted = _shifted(batch, lanes, maps, at.p, refinement)
+        points = np.concatenate(at.orbits)
+        flat = np.asarray(shifted(names[0], 0.0, points).monodromy)
+        blocks = np.split(flat, np.cumsum([len(orbit) for orbit in at.orbits])[:-1])
+        time = _times(batch, lanes, maps, at.p, refinement) if timed else None
+        moved = [
+            orbit_motions(shifted, at.orbits, blocks, name, _scale(batch, name), batch.chart.wrap, time, isolated)
+            for name in kept
+        ]
+        results.append(rates(blocks, list(zip(*moved, strict=True))))
+    (first, _), (second, error) = (tuple(np.array(part) for part in zip(*found, strict=True)) for found in results)
+    names = names[len(kept) - second.shape[1] :]  # that of an implicit number is no function of its own parameter
+    whole, errors = np.full((len(second), len(names)), np.nan), np.full((len(second), len(names)), np.nan)
+    places = [place for place, name in enumerate(names) if name in kept]
+    whole[:, places], errors[:, places] = second, error + np.abs(second - first)
+    return Sensitivities(names, whole, errors, absent)
+
+
+def doubling_sensitivities(batch: LaneBatch, lanes: LaneRunner, doublings: Sequence[LocatedDoubling]) -> Sensitivities:
+    """Derivatives of the first axis at doublings in all other parameters."""
+    names = parameter_names(batch)[1:]
+    if not doublings:
+        nothing = np.zeros((0, len(names)))
+        return Sensitivities(names, nothing, nothing, {})
+
+    def of_map(refinement: int) -> ParametrisedOrbits:
+        points = [located.refined[refinement] for located in doublings]
+        values = np.repeat([point.value for point in points], [len(point.orbit) for point in points])
+        return ParametrisedOrbits([point.orbit for point in points], batch.at_values(values).p)
+
+    def rates(blocks: Sequence[np.ndarray], motions: Sequence[Sequence[OrbitMotion]]) -> list[Numbers]:
+        return [implicit_rates(*doubling_rates(*each)) for each in zip(blocks, motions, strict=True)]
+
+    return sensitivities(batch, lanes, of_map(0), of_map(1), rates)
+
+
+class CriticalOrbit(NamedTuple):
+    """The orbit at a bifurcation: kind, a number in `KINDS`, value of the first axis, (n, d) and multipliers (d,)."""
+
+    kind: int
+    value: float
+    points: Float[np.ndarray, "n d"]
+    multipliers: Complex[np.ndarray, " d"]
+
+
+def bifurcation_sensitivities(batch: LaneBatch, lanes: LaneRunner, points: Sequence[CriticalOrbit]) -> Sensitivities:
+    """Derivatives of the first axis at bifurcations of orbits in all other parameters.
+
+    Not a number where there are none: at branch points, which most changes of a parameter leave none of.
+    """
+    names, count = parameter_names(batch)[1:], len(points)
+    nothing = Sensitivities(names, np.full((count, len(names)), np.nan), np.full((count, len(names)), np.nan), {})
+    some = np.array([k for k, point in enumerate(points) if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)], int)
+    if not len(some):
+        return nothing
+    every = [points[k] for k in some]
+    values = np.repeat([point.value for point in every], [len(point.points) for point in every])
+    orbits = ParametrisedOrbits([point.points for point in every], batch.at_values(values).p)
+
+    def rates(blocks: Sequence[np.ndarray], motions: Sequence[Sequence[OrbitMotion]]) -> list[Numbers]:
+        of_kind = {
+            FOLD: lambda block, each, _: fold_rates(block, each),
+            DOUBLING: lambda block, each, _: doubling_rates(block, each),
+            NEIMARK_SACKER: lambda block, each, point: modulus_rates(block, each, _on_circle(point.multipliers)),
+        }
+        return [implicit_rates(*of_kind[p.kind](b, m, p)) for b, m, p in zip(blocks, motions, every, strict=True)]
+
+    isolated = [point.kind != FOLD for point in every]
+    derived = sensitivities(batch, lanes, orbits, orbits, rates, isolated=isolated)
+    return _spread(derived, slice(None), some, count)
+
+
+def _on_circle(multipliers: Complex[np.ndarray, " d"]) -> complex:
+    """Return the multiplier off the real line nearest to the unit circle."""
+    off = np.where(np.abs(np.imag(multipliers)) > 0.0, np.abs(np.abs(multipliers) - 1.0), np.inf)
+    return complex(multipliers[np.argmin(off)])
+
+
+class LaneSensitivities(NamedTuple):
+    """Derivatives of the orbits that lanes are on, a row a lane; not a number where it is on none.
+
+    Attributes:
+        multiplier: of the largest modulus of the multipliers.
+        time: of the time that the orbit takes on a section; None where there is a clock.
+        times: this time, (lanes,).
+    """
+
+    multiplier: Sensitivities
+    time: Sensitivities | None
+    times: Float[np.ndarray, " lanes"]
+
+
+def lane_sensitivities(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> LaneSensitivities:
+    """Derivatives of the largest multiplier of every lane's orbit, and without a clock of the time that it takes."""
+    timed = batch.flow is not batch.system
+    names, count = parameter_names(batch), len(survey.period)
+    orbits = [_lane_orbits(batch, lanes, strobe, survey) for strobe in refined_maps(batch)[:2]]
+    on_orbit = np.flatnonzero(np.all([[orbit is not None for orbit in each] for each in orbits], axis=0))
+    times = np.full(count, np.nan)
+    tables = [Sensitivities(names, np.full((count, len(names)), np.nan), np.full((count, len(names)), np.nan), {})] * 2
+    if not len(on_orbit):
+        return LaneSensitivities(tables[0], tables[1] if timed else None, times)
+    sizes = survey.period[on_orbit]
+    p = select(dict(batch.p), np.repeat(on_orbit, sizes))
+    coarse, fine = (ParametrisedOrbits([o for o in each if o is not None], p) for each in orbits)
+
+    def rates(blocks: Sequence[np.ndarray], motions: Sequence[Sequence[OrbitMotion]]) -> list[Numbers]:
+        largest = [complex(multipliers(block)[0]) for block in blocks]
+        rows = [modulus_rates(*each) for each in zip(blocks, motions, largest, strict=True)]
+        return rows + [time_rates(each) for each in motions] if timed else rows
+
+    derived = sensitivities(batch, lanes, coarse, fine, rates, timed=timed)
+    parts = [slice(0, len(on_orbit)), slice(len(on_orbit), None)]
+    spread = [_spread(derived, part, on_orbit, count) for part in parts[: 1 + timed]]
+    if timed:
+        each = lanes(return_time, (refined_maps(batch)[1],), (np.concatenate(fine.orbits), p), tile=ORBIT_TILE)
+        times[on_orbit] = np.add.reduceat(each, np.cumsum(np.append(0, sizes[:-1])))
+    return LaneSensitivities(spread[0], spread[1] if timed else None, times)
+
+
+def _spread(derived: Sensitivities, rows: slice, lane: Int[np.ndarray, " some"], count: int) -> Sensitivities:
+    """Return some rows as those of lanes."""
+    tables = np.full((2, count, len(derived.names)), np.nan)
+    tables[:, lane] = derived.rates[rows], derived.errors[rows]
+    return derived._replace(rates=tables[0], errors=tables[1])
+
+
+def _lane_orbits(
+    batch: LaneBatch, lanes: LaneRunner, strobe: Maps, survey: Survey
+) -> list[Float[np.ndarray, "n d"] | None]:
+    """Return all points of the orbit of every lane, of one map."""
+    whole: list[Float[np.ndarray, "n d"] | None] = [None] * len(survey.period)
+    p = dict(batch.p)
+
+    def period(u: Float[np.ndarray, "points d"], lane: Float[np.ndarray, " points"]) -> Derivatives:
+        once = np.ones(len(u), np.int32)
+        return images(lanes, strobe, select(p, lane.astype(int)), once)(u, np.arange(len(u)))
+
+    for n in np.unique(survey.period[(survey.period > 0) & ~survey.failed]).tolist():
+        lane = np.flatnonzero((survey.period == n) & ~survey.failed)
+        points = [survey.u[lane]]
+        while len(points) < n:
+            points.append(np.asarray(period(points[-1], lane.astype(float)).image))
+        closed = close_orbits(period, np.stack(points, axis=1), lane.astype(float), batch.chart.wrap)
+        for k, place in enumerate(lane.tolist()):
+            whole[place] = closed.points[k] if closed.converged[k] else None
+    return whole
+
+
+def _shifted_maps(batch: LaneBatch) -> Callable[[str, float], tuple[Maps, ...]]:
+    """Return name and shift of a parameter to the maps of `refined_maps` with it."""
+
+    @functools.lru_cache(maxsize=64)
+    def at(name: str, shift: float) -> tuple[Maps, ...]:
+        if not shift or _is_own(batch, name):
+            return refined_maps(batch) if shift == 0.0 else at(name, 0.0)
+
+        def moved(system: System) -> System:
+            value = np.asarray(system.flow.parameters[name], float) + shift
+            return with_parameters(system, {name: value})
+
+        if (family := batch.family) is None:
+            return refined_maps(replace(batch, system=moved(batch.system)))
+        near = ParameterFamily(family.names, lambda values: moved(family.at(values)))
+        return refined_maps(replace(batch, family=near))
+
+    return at
+
+
+def _is_own(batch: LaneBatch, name: str) -> bool:
+    """Return whether lanes of a program may differ in a parameter."""
+    return name in batch.p and not (batch.family is not None and name in batch.family.names)
+
+
+def _own(batch: LaneBatch, p: Parameters, name: str, shift: float) -> dict[str, np.ndarray]:
+    """Parameters of lanes with one shifted, if it is one of their own."""
+    more = {name: np.asarray(p[name]) + shift} if _is_own(batch, name) else {}
+    return {key: np.asarray(value) for key, value in {**p, **more}.items()}
+
+
+def _shifted(
+    batch: LaneBatch, lanes: LaneRunner, maps: Callable[..., tuple[Maps, ...]], p: Parameters, refinement: int
+) -> ShiftedMap:
+    def at(name: str, shift: float, u: Float[np.ndarray, "points d"]) -> Derivatives:
+        strobe = maps(name, 0.0 if _is_own(batch, name) else shift)[refinement]
+        once = np.ones(len(u), np.int32)
+        return images(lanes, strobe, _own(batch, p, name, shift), once)(u, np.arange(len(u)))
+
+    return at
+
+
+def _times(
+    batch: LaneBatch, lanes: LaneRunner, maps: Callable[..., tuple[Maps, ...]], p: Parameters, refinement: int
+) -> ShiftedTime:
+    def at(name: str, shift: float, u: Float[np.ndarray, "points d"]) -> Float[np.ndarray, " points"]:
+        strobe = maps(name, 0.0 if _is_own(batch, name) else shift)[refinement]
+        return lanes(return_time, (strobe,), (u, _own(batch, p, name, shift)), tile=ORBIT_TILE)
+
+    return at
+
+
+def _scale(batch: LaneBatch, name: str) -> float:
+    """Return the size of a parameter, one where it is zero."""
+    values = batch.p[name] if name in batch.p else batch.flow.parameters[name]
+    return float(np.abs(np.asarray(values, float)).max()) or 1.0
+
+
+def _reason(batch: LaneBatch, maps: Callable[..., tuple[Maps, ...]], name: str) -> str:
+    """Return why the system does not exist near its value of a parameter; "" where it does."""
+    try:
+        _ = maps(name, 2.0**-15 * _scale(batch, name))
+    except ValueError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,216 @@
+"""Derivatives of multipliers and bifurcation points in all parameters, by the implicit function theorem. Host code.
+
+An orbit u_{i+1} = P(u_i; q) moves with a parameter by M_i u'_i + ∂P/∂q = u'_{i+1}, and a multiplier μ with right and
+left vectors φ, ψ around the orbit by ψᵀ M' φ, M' the derivative of the blocks along the motion of the orbit (Kuznetsov,
+Elements of Applied Bifurcation Theory, 2004, 10.2). A bifurcation in p is then where a condition g(p, q) holds:
+dp/dq = −(∂g/∂q)/(∂g/∂p). No orbit is solved for anew.
+
+Derivatives of one period alone are differences: of first order in u they are exact, and in parameters that decide a
+table, or a period, there are no others. Sixth order at five widths, the best of which is taken number by number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits import cyclic
+from jaxnh.systems.chart import Wrap
+
+_WIDTHS = 2.0 ** -np.array([6.0, 9.0, 12.0, 15.0, 18.0])  # of the parameter, half of the widest nodes of a difference
+_PLACES = np.array([1.0, 2.0, 3.0]) / 3.0
+_SIXTH = np.array([45.0, -9.0, 1.0]) / 20.0  # weights of f(x h) − f(−x h), times h
+_FOURTH = np.array([8.0, -1.0, 0.0]) / 4.0
+_ROUNDING = 8.0  # of a sixth-order difference, in that of its distance to the one of fourth order: 7.1
+
+
+class ShiftedMap(Protocol):
+    """P and ∂P/∂u at points of orbits side by side, each at its own values of the parameters but for one of them."""
+
+    def __call__(self, name: str, shift: float, u: Float[np.ndarray, "points d"], /) -> Derivatives:
+        """At points near those of the orbits, in their order, the named parameter shifted for all."""
+        ...
+
+
+class ShiftedTime(Protocol):
+    """Time of return at the same points."""
+
+    def __call__(self, name: str, shift: float, u: Float[np.ndarray, "points d"], /) -> Float[np.ndarray, " points"]:
+        """As of `ShiftedMap`."""
+        ...
+
+
+class OrbitMotion(NamedTuple):
+    """The motion of one orbit with a parameter, and how its maps change along it.
+
+    Attributes:
+        column: ∂P/∂q at each point, (n, d).
+        column_error: of it.
+        points: du/dq, (n, d); not a number where the orbit has a multiplier one, zero where it is held.
+        blocks: dM/dq along the motion, (n, d, d).
+        blocks_error: of it.
+        time: derivative of the time of return of each point, (n,); empty where it is not asked for.
+        time_error: of it.
+    """
+
+    column: Float[np.ndarray, "n d"]
+    column_error: Float[np.ndarray, "n d"]
+    points: Float[np.ndarray, "n d"]
+    blocks: Float[np.ndarray, "n d d"]
+    blocks_error: Float[np.ndarray, "n d d"]
+    time: Float[np.ndarray, " n"] = np.zeros(0)
+    time_error: Float[np.ndarray, " n"] = np.zeros(0)
+
+
+def orbit_motions(
+    shifted: ShiftedMap,
+    orbits: Sequence[Float[np.ndarray, "n d"]],
+    blocks: Sequence[Float[np.ndarray, "n d d"]],
+    name: str,
+    scale: float,
+    wrap: Wrap,
+    time: ShiftedTime | None = None,
+    isolated: Sequence[bool] | None = None,
+) -> list[OrbitMotion]:
+    """Return how each orbit moves with a parameter.
+
+    Args:
+        shifted: the map.
+        orbits: their points, in the order that the map knows.
+        blocks: ∂P/∂u at them.
+        name: of the parameter.
+        scale: of the parameter, in which shifts are small.
+        wrap: of differences of section coordinates.
+        time: the time of return, where its derivative is asked for.
+        isolated: of each orbit, whether it has no multiplier one; others, as at folds, are held where they are.
+    """
+    isolated = [True] * len(orbits) if isolated is None else isolated
+    at, cuts = np.concatenate(orbits), np.cumsum([len(orbit) for orbit in orbits])[:-1]
+    column, column_error = _difference(lambda s: np.asarray(shifted(name, s, at).image), scale, wrap)
+    each = zip(blocks, np.split(column, cuts), isolated, strict=True)
+    moved = np.concatenate([_motion(block, part) if moves else np.zeros_like(part) for block, part, moves in each])
+    matrices = _difference(lambda s: np.asarray(shifted(name, s, at + s * moved).monodromy), scale)
+    times = _difference(lambda s: np.asarray(time(name, s, at + s * moved)), scale) if time else None
+    parts = [np.split(x, cuts) for x in (column, column_error, moved, *matrices, *(times or ()))]
+    return [OrbitMotion(*leaves) for leaves in zip(*parts, strict=True)]
+
+
+def multiplier_rate(
+    blocks: Float[np.ndarray, "n d d"], motion: OrbitMotion, multiplier: complex
+) -> tuple[complex, float]:
+    """Return dμ/dq of the multiplier nearest to one given, and its error."""
+    right, left = _multiplier_vectors(blocks, multiplier)
+    return _contraction(left, motion.blocks, right), _largest(left, motion.blocks_error, right)
+
+
+def doubling_rates(
+    blocks: Float[np.ndarray, "n d d"], motions: Sequence[OrbitMotion]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return the derivative of the test for a multiplier −1 in each of k parameters, up to one factor, and errors."""
+    there = np.broadcast_to(-np.eye(blocks.shape[-1]), blocks.shape).copy()
+    there[-1] *= -1.0
+    right, left = _null_vectors(blocks, there)
+    rates = [_contraction(left, motion.blocks, right).real for motion in motions]
+    return np.array(rates), np.array([_largest(left, motion.blocks_error, right) for motion in motions])
+
+
+def fold_rates(
+    blocks: Float[np.ndarray, "n d d"], motions: Sequence[OrbitMotion]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return what each of k parameters moves a fold by, up to one factor: ψᵀ ∂P/∂q, ψ the left vector of μ = 1."""
+    _, left = _null_vectors(blocks, np.broadcast_to(-np.eye(blocks.shape[-1]), blocks.shape))
+    rates = [float(np.sum(left * motion.column)) for motion in motions]
+    return np.array(rates), np.array([float(np.sum(np.abs(left) * motion.column_error)) for motion in motions])
+
+
+def time_rates(motions: Sequence[OrbitMotion]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return the derivative of the time that an orbit takes in each of k parameters, and errors."""
+    return np.array([np.sum(motion.time) for motion in motions]), np.array([np.sum(m.time_error) for m in motions])
+
+
+def modulus_rates(
+    blocks: Float[np.ndarray, "n d d"], motions: Sequence[OrbitMotion], multiplier: complex
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return the derivative of |μ| in each of k parameters, and errors."""
+    rates = [multiplier_rate(blocks, motion, multiplier) for motion in motions]
+    unit = np.conj(multiplier) / abs(multiplier)
+    return np.array([(unit * rate).real for rate, _ in rates]), np.array([error for _, error in rates])
+
+
+def implicit_rates(
+    rates: Float[np.ndarray, " k"], errors: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, " others"], Float[np.ndarray, " others"]]:
+    """Return dp/dq = −g_q/g_p with its error, of the derivatives of a condition in p, the first, and all others q."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = -rates[1:] / rates[0]
+        return ratio, (errors[1:] + np.abs(ratio) * errors[0]) / np.abs(rates[0])
+
+
+def _motion(blocks: Float[np.ndarray, "n d d"], column: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
+    """Return du/dq around an orbit."""
+    cycle = cyclic.eliminate(blocks, np.broadcast_to(-np.eye(blocks.shape[-1]), blocks.shape))
+    try:
+        return cyclic.solve(cycle, -column)
+    except np.linalg.LinAlgError:
+        return np.full_like(column, np.nan)
+
+
+def _null_vectors(
+    here: Float[np.ndarray, "n d d"], there: Float[np.ndarray, "n d d"]
+) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d"]]:
+    """Return y and z with A_i y_i + B_i y_{i+1} = 0 and A_iᵀ z_i + B_{i−1}ᵀ z_{i−1} = 0, nearly."""
+    right = cyclic.null_vector(cyclic.eliminate(here, there))
+    transposed = np.swapaxes(here, -1, -2)[::-1], np.swapaxes(np.roll(there, 1, axis=0), -1, -2)[::-1]
+    return right, cyclic.null_vector(cyclic.eliminate(*transposed))[::-1]
+
+
+def _multiplier_vectors(
+    blocks: Float[np.ndarray, "n d d"], multiplier: complex
+) -> tuple[Complex[np.ndarray, "n d"], Complex[np.ndarray, "n d"]]:
+    """Return φ and ψ of the multiplier nearest to one given, before and after each M_i: its derivative is Σ ψᵀ M' φ."""
+    product = np.eye(blocks.shape[-1])
+    for block in blocks:
+        product = block @ product
+    values, vectors = np.linalg.eig(product)
+    k = int(np.argmin(np.abs(values - multiplier)))
+    right, left = [vectors[:, k]], [np.linalg.inv(vectors)[k]]
+    for before, after in zip(blocks[:-1], blocks[:0:-1], strict=True):
+        right.append(before @ right[-1])
+        left.append(left[-1] @ after)
+    return np.array(right), np.array(left[::-1])
+
+
+def _contraction(left: np.ndarray, matrices: np.ndarray, right: np.ndarray) -> complex:
+    return complex(np.einsum("ni,nij,nj->", left, matrices, right))
+
+
+def _largest(left: np.ndarray, errors: np.ndarray, right: np.ndarray) -> float:
+    return float(np.einsum("ni,nij,nj->", np.abs(left), errors, np.abs(right)))
+
+
+def _difference(
+    function: Callable[[float], np.ndarray], scale: float, wrap: Wrap | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivative at zero of an array of numbers, and its error.
+
+    The error is the distance to the difference of fourth order, which bounds truncation, times what rounding needs, and
+    the rounding of the result; no less than the distance to the second best width.
+    """
+    found, errors = [], []
+    for width in _WIDTHS * scale:
+        sides = [(function(x * width), function(-x * width)) for x in _PLACES]
+        pairs = [ahead - behind for ahead, behind in sides]
+        rows = np.array([wrap(pair) for pair in pairs] if wrap else pairs)
+        sixth, fourth = (np.tensordot(weights, rows, 1) / width for weights in (_SIXTH, _FOURTH))
+        found.append(sixth)
+        errors.append(_ROUNDING * np.abs(sixth - fourth) + np.spacing(np.max(np.abs(sides), axis=(0, 1))) / width)
+    rates, bounds = np.array(found), np.where(np.isfinite(errors), errors, np.inf)
+    order = np.argsort(bounds, axis=0, kind="stable")[:2]
+    best, second = np.take_along_axis(rates, order, axis=0)
+    with np.errstate(invalid="ignore"):
+        error = np.fmax(np.take_along_axis(bounds, order[:1], axis=0)[0], np.abs(best - second))
+    return best, error

@@ -1,0 +1,22 @@
+"""Right-hand sides in time over the period, τ = t/T: a period that depends on parameters is then one of them.
+
+dy/dτ = T f(y, Tτ) has the period 1 for every T, and the same strobe map, multipliers and bifurcations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from jaxnh.systems.definition import Definition
+
+
+def in_periods(define: Callable[..., Definition]) -> Callable[..., Definition]:
+    """Return the definition of a right-hand side, `rhs` and `period`, in time over the period."""
+
+    def scaled(**p: Any) -> Mapping[str, Any]:
+        definition = define(**p)
+        period, rhs = definition["period"], definition["rhs"]
+        return {**definition, "period": 1.0, "rhs": lambda y, t: tuple(period * rate for rate in rhs(y, period * t))}
+
+    return scaled
