@@ -162,7 +162,6 @@ class LaneBatch:
         strobe = make_return_map(self.system, self.solver, steps, compensated=self.compensated)
         return in_precision(strobe, self.precision)
 
-
     def inverse(self, refinement: float = 1) -> Maps:
         """Return the inverse of P, with `refinement` times the steps; for a family one for each value.
 

@@ -16,6 +16,7 @@ from jaxnh.analyses.options.orbits import (
     BranchesOptions,
     CurvesOptions,
     DoublingOptions,
+    ManifoldsOptions,
     OrbitsOptions,
     PeriodOptions,
     WindowsOptions,
@@ -43,6 +44,7 @@ OPTIONS: dict[str, type[Options]] = {
         TransientsOptions,
         RotationOptions,
         ToriOptions,
+        ManifoldsOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

@@ -1,0 +1,113 @@
+"""Branches of one kind, unstable or stable, of the saddles of all lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.manifolds.curves import DELTA, Branch, Curves, distance_from, grow, positions
+from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
+from jaxnh.maps.family import Maps, padded_like
+
+SIDES = (1.0, -1.0)
+"""Signs of the direction that the two branches of a germ begin in."""
+
+
+class Side(NamedTuple):
+    """The maps of one kind of manifolds.
+
+    Attributes:
+        maps: with the steps that the accuracy asks for, and with twice as many.
+        backward: whether they are inverse maps, those of stable manifolds.
+    """
+
+    maps: tuple[Maps, Maps]
+    backward: bool
+
+
+class Grown(NamedTuple):
+    """Branches of one kind, of all points of the saddles and both sides of each, in this order.
+
+    Attributes:
+        curves: as the steps that the accuracy asks for have them, and twice as many.
+        branches: None where the manifold has not one dimension.
+        deviation: largest distance between both, in sizes, (branches,).
+    """
+
+    curves: tuple[Curves, Curves]
+    branches: list[Branch | None]
+    deviation: Float[np.ndarray, " branches"]
+
+
+def side_of(make: Callable[[float], Maps], backward: bool) -> Side:
+    """Return the maps of a kind, from what makes them with so many times the steps."""
+    fine = make(2)
+    return Side((padded_like(make(1), fine), fine), backward)
+
+
+def grow_branches(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    side: Side,
+    saddles: Saddles,
+    size: Float[np.ndarray, "lanes d"],
+    length: float,
+    spacing: float,
+    most: int,
+) -> Grown:
+    """Return all branches of saddles, up to an arc length."""
+    p, scale, wrap = parameters_of(batch, saddles.lane), size[saddles.lane], batch.chart.wrap
+    germs = [find_germs(batch, lanes, of, p, saddles.points, scale, side.backward) for of in side.maps]
+    turned = np.sum(germs[0].directions * germs[1].directions, axis=1) < 0.0
+    germs[1] = germs[1]._replace(directions=np.where(turned[:, None], -1.0, 1.0) * germs[1].directions)
+    n = saddles.points.shape[1]
+    curves, fine = (
+        curves_of(
+            of,
+            {name: np.repeat(values, 2 * n) for name, values in p.items()},
+            _both(each),
+            n,
+            np.repeat(scale, 2 * n, axis=0),
+        )
+        for of, each in zip(side.maps, germs, strict=True)
+    )
+    branches = grow(lanes, curves, wrap, length, spacing, most)
+    deviation = np.full(len(branches), np.nan)
+    known = [b for b, branch in enumerate(branches) if branch is not None]
+    if known:
+        x = [branch.x[1:] for branch in branches if branch is not None]
+        which = np.repeat(known, [len(each) for each in x])
+        points = positions(lanes, fine, which, np.concatenate(x), earlier=1)
+        for b, part in zip(known, np.split(points, np.cumsum([len(each) for each in x])[:-1]), strict=True):
+            branch = branches[b]
+            assert branch is not None
+            deviation[b] = distance_from(branch, part, curves.size[b], wrap)
+    return Grown((curves, fine), branches, deviation)
+
+
+def curves_of(
+    strobe: Maps,
+    p: dict[str, Float[np.ndarray, " branches"]],
+    germs: Germs,
+    n: int,
+    size: Float[np.ndarray, "branches d"],
+) -> Curves:
+    """Return the curves that begin with germs of orbits of n returns, one each."""
+    turns = np.where(germs.multiplier < 0.0, 2, 1)
+    growth = turns * np.log(np.abs(germs.multiplier))
+    return Curves(strobe, p, germs.points, DELTA * germs.directions, growth, turns * n, size)
+
+
+def has_branches(germs: Germs, n: int) -> Bool[np.ndarray, " orbits"]:
+    """Return which orbits of n points have a manifold of one dimension."""
+    return np.isfinite(germs.multiplier).reshape(-1, n).all(axis=1)
+
+
+def _both(germs: Germs) -> Germs:
+    """Return each germ twice, with both signs of its direction."""
+    twice = Germs(*(np.repeat(leaf, 2, axis=0) for leaf in germs))
+    return twice._replace(directions=twice.directions * np.tile(SIDES, len(germs.multiplier))[:, None])

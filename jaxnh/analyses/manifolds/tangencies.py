@@ -1,0 +1,209 @@
+"""Tangencies of stable and unstable manifolds along a parameter, by Newton on both curves and the parameter.
+
+Unknown are the places on both curves and the parameter. Both points are one and both tangents are parallel: the fold of
+a crossing. What an error does along a curve moves the place and leaves the parameter as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.manifolds.branches import Grown, Side, curves_of
+from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined, take
+from jaxnh.analyses.manifolds.curves import Branch, tangents
+from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
+from jaxnh.systems.chart import Wrap
+
+KEPT = 4
+"""Tangencies of a lane that are kept, the nearest ones."""
+
+_CANDIDATES = 12  # of a lane
+_FARTHEST = 0.4  # sizes: curves whose tangents are parallel so near may be tangent at a parameter near by
+_ALIKE = 0.05  # of x, of places that are images of one another
+_TRIVIAL = 0.05  # sizes: of both curves, where they begin
+_PROBES = (1e-4, 1e-4, 1e-5)  # of both x and, in units of itself, the parameter, for differences
+_LARGEST_STEPS = (0.1, 0.1, 0.03)
+_STEPS = 24
+_AT_REST = 1e-9  # of the parameter, in units of itself
+_ZERO = 1e-7  # sizes
+_ROUNDING = 1e-11  # of the parameter, in units of itself
+_SAME = 1e-7  # likewise: values of one tangency
+
+
+class Tangencies(NamedTuple):
+    """Tangencies of lanes.
+
+    Attributes:
+        meetings: the branches, and where on them; `arc` as of the candidates.
+        value: of the parameter, (tangencies,), not a number where Newton does not come to rest.
+        error: of it, (tangencies,).
+    """
+
+    meetings: Meetings
+    value: Float[np.ndarray, " tangencies"]
+    error: Float[np.ndarray, " tangencies"]
+
+
+def near_tangencies(
+    unstable: Sequence[tuple[int, Branch]],
+    stable: Sequence[tuple[int, Branch]],
+    size: Float[np.ndarray, " 2"],
+    wrap: Wrap,
+) -> Meetings:
+    """Return where tangents of two branches near each other are parallel, the nearest first."""
+    from scipy.spatial import cKDTree  # here, as it takes a tenth of a second to import
+
+    parts = list[Meetings]()
+    for number, one in unstable:
+        for other_number, other in stable:
+            if min(len(one.x), len(other.x)) < 4:
+                continue
+            middle, way = _segments(one, size, wrap)
+            other_middle, other_way = _segments(other, size, wrap)
+            distance, near = cKDTree(other_middle).query(middle, distance_upper_bound=_FARTHEST)
+            near = np.minimum(near, len(other_middle) - 1)
+            sine = _cross(way, other_way[near])
+            gap = np.abs(_cross(other_middle[near] - middle, other_way[near]))
+            arcs = one.arc[1:-1], other.arc[1:-1][near]
+            kept = (sine[1:] * sine[:-1] <= 0.0) & np.isfinite(distance[1:]) & np.isfinite(distance[:-1])
+            kept &= np.maximum(arcs[0][1:], arcs[1][1:]) > _TRIVIAL
+            at = np.flatnonzero(kept) + 1
+            x = np.stack([one.x[1:-1][at], other.x[1:-1][near[at]]], axis=1)
+            parts.append(Meetings(np.full(len(at), number), np.full(len(at), other_number), x, gap[at]))
+    every = joined(parts)
+    every = take(every, np.argsort(every.arc, kind="stable")[: 16 * _CANDIDATES])
+    return take(every, distinct_orbits(every, _ALIKE)[:_CANDIDATES])
+
+
+class _System(NamedTuple):
+    """The equations of tangencies near some parameters.
+
+    Attributes:
+        batch, lanes, sides, saddles, size: as of `locate_tangencies`.
+        name: of the parameter.
+        which: numbers of the maps, 0 or 1 for twice the steps.
+        meetings: the branches.
+        directions: that their germs have at the parameters of their lanes.
+    """
+
+    batch: LaneBatch
+    lanes: LaneRunner
+    sides: tuple[Side, Side]
+    saddles: Saddles
+    size: Float[np.ndarray, "lanes d"]
+    name: str
+    which: int
+    meetings: Meetings
+    directions: tuple[np.ndarray, np.ndarray]
+
+    def residual(self, number: Int[np.ndarray, " some"], z: Float[np.ndarray, "some 3"]) -> Float[np.ndarray, "some 3"]:
+        """Return the gap in sizes, and the sine of the angle, at places and values of the parameter."""
+        at = []
+        for k, branches in enumerate((self.meetings.unstable, self.meetings.stable)):
+            side, n = self.sides[k], self.saddles.points.shape[1]
+            branch, strobe = branches[number], side.maps[self.which]
+            saddle, point = branch // (2 * n), branch // 2 % n
+            p = {**parameters_of(self.batch, self.saddles.lane[saddle]), self.name: z[:, 2]}
+            size = self.size[self.saddles.lane[saddle]]
+            germs = find_germs(self.batch, self.lanes, strobe, p, self.saddles.points[saddle], size, side.backward)
+            row = np.arange(len(number)) * n + point
+            germs = Germs(*(leaf[row] for leaf in germs))
+            sign = np.sign(np.sum(germs.directions * self.directions[k][branch], axis=1))
+            curves = curves_of(strobe, p, germs._replace(directions=sign[:, None] * germs.directions), n, size)
+            fine = np.isfinite(curves.growth)
+            points, ways = np.full((2, len(number), 2), np.nan)
+            places = np.flatnonzero(fine)
+            if len(places):
+                points[fine], ways[fine] = tangents(self.lanes, curves, places, z[places, k], self.which)
+            at.append((points, ways / size))
+        gap = self.batch.chart.wrap(at[0][0] - at[1][0]) / size
+        lengths = np.linalg.norm(at[0][1], axis=1) * np.linalg.norm(at[1][1], axis=1)
+        return np.concatenate([gap, (_cross(at[0][1], at[1][1]) / lengths)[:, None]], axis=1)
+
+    def solve(self, z: Float[np.ndarray, "some 3"]) -> tuple[Float[np.ndarray, "some 3"], Float[np.ndarray, " some"]]:
+        """Return the solutions of Newton, not numbers where it does not come to rest, and its last step."""
+        z, last = z.copy(), np.full(len(z), np.inf)
+        open_ = np.arange(len(z))
+        result = np.full_like(z, np.nan)
+        for _ in range(_STEPS):
+            if not len(open_):
+                break
+            unit = np.stack([np.ones(len(open_)), np.ones(len(open_)), np.maximum(np.abs(z[open_, 2]), 1e-3)], axis=1)
+            probes = np.array(_PROBES) * unit
+            shifts = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+            every = (z[open_][None] + shifts[:, None] * probes[None]).reshape(-1, 3)
+            values = self.residual(np.tile(open_, len(shifts)), every).reshape(len(shifts), len(open_), 3)
+            jacobian = np.moveaxis((values[1:4] - values[4:]) / 2.0, 0, 2) / probes[:, None, :]
+            fine = np.isfinite(values).all(axis=(0, 2)) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0.0)
+            open_, unit = open_[fine], unit[fine]
+            step = np.linalg.solve(jacobian[fine], values[0][fine][..., None])[..., 0]
+            share = np.minimum(1.0, np.min(np.array(_LARGEST_STEPS) * unit / np.abs(step), axis=1))
+            z[open_] -= share[:, None] * step
+            last[open_] = np.abs(step[:, 2]) / unit[:, 2]
+            rest = (last[open_] < _AT_REST) & (np.abs(values[0][fine]).max(axis=1) < _ZERO)
+            result[open_[rest]] = z[open_[rest]]
+            open_ = open_[~rest]
+        return result, last
+
+
+def locate_tangencies(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    sides: tuple[Side, Side],
+    saddles: Saddles,
+    size: Float[np.ndarray, "lanes d"],
+    grown: tuple[Grown, Grown],
+    meetings: Meetings,
+    name: str,
+) -> Tangencies:
+    """Return the tangencies that Newton finds from places where branches are nearly tangent.
+
+    Args:
+        sides: maps of unstable and of stable manifolds.
+        grown: the branches.
+        meetings: the places.
+        name: of the parameter.
+    """
+    directions = tuple(of.curves[0].directions for of in grown)
+    saddle = meetings.unstable // (2 * saddles.points.shape[1])
+    values = np.asarray(batch.p[name], float)[saddles.lane[saddle]]
+    start, solved = np.concatenate([meetings.x, values[:, None]], axis=1), list[np.ndarray]()
+    last = np.zeros(len(start))
+    for which in (0, 1):
+        system = _System(batch, lanes, sides, saddles, size, name, which, meetings, directions)  # pyright: ignore[reportArgumentType]
+        known = np.isfinite(start).all(axis=1)
+        result = np.full_like(start, np.nan)
+        part = system._replace(meetings=take(meetings, known))
+        if known.any():
+            result[known], last[known] = part.solve(start[known])
+        solved.append(result)
+        start = result
+    (coarse, fine), unit = solved, np.maximum(np.abs(values), 1e-3)
+    error = np.abs(fine[:, 2] - coarse[:, 2]) + unit * (last + _ROUNDING)
+    return Tangencies(meetings._replace(x=fine[:, :2]), fine[:, 2], error)
+
+
+def nearest_tangencies(of: Tangencies, value: float) -> Int[np.ndarray, " kept"]:
+    """Return the numbers of those nearest to a value of the parameter, each once."""
+    kept = list[int]()
+    for i in np.argsort(np.abs(of.value - value), kind="stable").tolist():
+        unit = _SAME * max(abs(value), 1e-3)
+        if np.isfinite(of.value[i]) and all(abs(of.value[i] - of.value[j]) > unit + of.error[i] for j in kept):
+            kept.append(i)
+    return np.array(kept[:KEPT], int)
+
+
+def _segments(branch: Branch, size: np.ndarray, wrap: Wrap) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middles and the directions of the segments of a branch, but for the first, in sizes."""
+    way = wrap(np.diff(branch.points[1:], axis=0)) / size
+    middle = branch.points[1:-1] / size + 0.5 * way
+    return middle, way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
+def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
