@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.curves import DELTA, Branch, Curves, distance_from, grow, positions
+from jaxnh.analyses.manifolds.curves import Branch, Curves, distance_from, first_length, grow, positions
 from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
 from jaxnh.maps.family import Maps, padded_like
 
@@ -99,7 +99,7 @@ def curves_of(
     """Return the curves that begin with germs of orbits of n returns, one each."""
     turns = np.where(germs.multiplier < 0.0, 2, 1)
     growth = turns * np.log(np.abs(germs.multiplier))
-    return Curves(strobe, p, germs.points, DELTA * germs.directions, growth, turns * n, size)
+    return Curves(strobe, p, germs.points, germs.directions, growth, first_length(growth), turns * n, size)
 
 
 def has_branches(germs: Germs, n: int) -> Bool[np.ndarray, " orbits"]:

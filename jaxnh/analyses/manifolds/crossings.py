@@ -82,15 +82,32 @@ def crossing_segments(
     return take(every, np.argsort(every.arc, kind="stable")[: _CANDIDATES * most])
 
 
-def distinct_orbits(meetings: Meetings, same: float = _SAME) -> Int[np.ndarray, " kept"]:
-    """Return the numbers of meetings that are no image of one before: x₁ + x₂ and the fraction of x₁ are invariant."""
-    total, share = meetings.x.sum(axis=1), meetings.x[:, 0]
-    kept = list[int]()
+def distinct_orbits(
+    meetings: Meetings, curves: tuple[Curves, Curves], n: int, same: float = _SAME
+) -> Int[np.ndarray, " kept"]:
+    """Return the numbers of meetings that are no image of one before.
+
+    An image k turns of the orbits later is by k n returns further along the unstable branch and as much less along the
+    stable one; where the multiplier is negative each turn changes the side.
+
+    Args:
+        meetings: those of unstable branches that begin at the first points of orbits.
+        curves: of unstable and of stable manifolds.
+        n: returns of the orbits.
+        same: of x, how far images may be from where they should be.
+    """
+    numbers = meetings.unstable, meetings.stable
+    returns = [of.returns[which] for of, which in zip(curves, numbers, strict=True)]
+    passed = [meetings.x[:, k] * each / n for k, each in enumerate(returns)]
+    total, kept = passed[0] + passed[1], list[int]()
     for i in range(len(total)):
         others = np.array(kept, int)
-        alike = (meetings.unstable[others] == meetings.unstable[i]) & (meetings.stable[others] == meetings.stable[i])
-        turns = share[others] - share[i]
-        alike &= (np.abs(total[others] - total[i]) < same) & (np.abs(turns - np.round(turns)) < same)
+        turns = passed[0][others] - passed[0][i]
+        whole = np.round(turns)
+        alike = (np.abs(total[others] - total[i]) < 2 * same) & (np.abs(turns - whole) < 2 * same)
+        for which, each in zip(numbers, returns, strict=True):
+            turned = (which[others] + which[i]) % 2 == 1
+            alike &= (which[others] // 2 == which[i] // 2) & (turned == ((each[i] > n) & (whole % 2 == 1)))
         if not alike.any():
             kept.append(i)
     return np.array(kept, int)

@@ -1,10 +1,10 @@
 """Unstable manifolds of one dimension as curves of points, whose distances and turns are small.
 
 A branch is the curve x -> G^k(u + δ m^τ v), k + τ = x, with G a turn of the orbit, two where the multiplier is
-negative, m > 1 its multiplier, v the direction at the point u, and δ small: the images of a fundamental segment, one after the
-other (Hobson, J. Comput. Phys. 104 (1993) 14). Points are inserted between neighbours, as images of points of the first
-segment and not by interpolation, until distances and turns are small (Krauskopf and Osinga, J. Comput. Phys. 146 (1998)
-404). A straight first segment is off by δ² across the manifold, which the images contract.
+negative, m > 1 its multiplier, v the direction at the point u, and δ small: the images of a fundamental segment, one
+after the other (Hobson, J. Comput. Phys. 104 (1993) 14). Points are inserted between neighbours, as images of points of
+the first segment and not by interpolation, until distances and turns are small (Krauskopf and Osinga, J. Comput. Phys.
+146 (1998) 404). A straight first segment is off by δ² across the manifold, which the images contract.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ ENDS = ("none", "length", "max_points", "settled", "lost")
 
 NONE, LENGTH, MAX_POINTS, SETTLED, LOST = range(len(ENDS))
 
-DELTA = 1e-6
-"""Length of the first segment's beginning, in sizes; rounding of its points moves images along the curve by 1e-10."""
+_END = 1e-5  # sizes: of the first segment, at most, so that it is straight
+_LONGEST = 1e-6  # sizes: δ at most; rounding of points moves images along the curve by 1e-16/δ of x
 
 _VISIBLE = 1e-3  # sizes: where points begin
 _SAGITTA = 0.05  # of the spacing: largest product of the turn at a point and the distance to a neighbour
+_SHARP, _SHORTEST = 0.3, 1e-4  # rad, and of the spacing: neighbours turn by more only where they are nearer
 _PARTS = 8  # of a segment that is added
 _FINEST = 1e-9  # of x: neighbours are not brought nearer
 _STILL = 1e-6  # sizes: a branch that has grown by less in a segment has settled
@@ -44,8 +45,9 @@ class Curves(NamedTuple):
     Attributes:
         strobe: the map, or its inverse.
         p: parameters of each, by name, (branches,).
-        points, directions: (branches, d); a direction has the length δ in sizes.
+        points, directions: (branches, d); a direction has the length 1 in sizes.
         growth: ln m, (branches,).
+        delta: δ, in sizes, (branches,).
         returns: of the map in a segment, (branches,).
         size: (branches, d).
     """
@@ -55,8 +57,14 @@ class Curves(NamedTuple):
     points: Float[np.ndarray, "branches d"]
     directions: Float[np.ndarray, "branches d"]
     growth: Float[np.ndarray, " branches"]
+    delta: Float[np.ndarray, " branches"]
     returns: Int[np.ndarray, " branches"]
     size: Float[np.ndarray, "branches d"]
+
+
+def first_length(growth: Float[np.ndarray, " branches"]) -> Float[np.ndarray, " branches"]:
+    """Return δ, in sizes, of branches that grow by these."""
+    return np.minimum(_LONGEST, _END * np.exp(-growth))
 
 
 class Branch(NamedTuple):
@@ -97,7 +105,7 @@ def _begin(
     curves: Curves, which: Int[np.ndarray, " some"], x: Float[np.ndarray, " some"], earlier: int
 ) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, "some d"]]:
     segment = np.floor(x)
-    share = np.exp(curves.growth[which] * (x - segment - earlier))
+    share = curves.delta[which] * np.exp(curves.growth[which] * (x - segment - earlier))
     u = curves.points[which] + share[:, None] * curves.directions[which]
     return ((segment + earlier) * curves.returns[which]).astype(np.int32), u
 
@@ -108,7 +116,7 @@ def grow(
     """Return the branches up to an arc length, in sizes; None where the manifold has not one dimension."""
     count = len(curves.growth)
     with np.errstate(invalid="ignore", divide="ignore"):
-        first = np.floor(np.log(_VISIBLE / DELTA) / curves.growth)
+        first = np.floor(np.log(_VISIBLE / curves.delta) / curves.growth)
     alive = np.isfinite(curves.growth) & np.isfinite(curves.points).all(axis=1) & (first < _MOST_TURNS)
     growing = {
         int(b): _Growing(curves, int(b), float(first[b]), wrap, length, spacing, most) for b in np.flatnonzero(alive)
@@ -189,7 +197,8 @@ class _Growing:
             cosine = np.sum(chord[1:] * chord[:-1], axis=1) / (distance[1:] * distance[:-1])
         turn = np.nan_to_num(np.arccos(np.clip(cosine, -1.0, 1.0)))
         turn = np.maximum(np.append(turn, 0.0), np.insert(turn, 0, 0.0))
-        return (distance > self.spacing) | (turn * distance > _SAGITTA * self.spacing)
+        bent = (turn * distance > _SAGITTA * self.spacing) | ((turn > _SHARP) & (distance > _SHORTEST * self.spacing))
+        return (distance > self.spacing) | bent
 
     def branch(self) -> Branch | None:
         """Return the points up to the length."""

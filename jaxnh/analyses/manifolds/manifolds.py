@@ -111,6 +111,17 @@ def _of_lane(grown: Grown, saddles: Saddles, lane: int) -> list[tuple[int, Branc
     return [(int(b), branch) for b in of if (branch := grown.branches[b]) is not None]
 
 
+def _pairs_of_lane(
+    grown: tuple[Grown, Grown], saddles: Saddles, lane: int
+) -> tuple[list[tuple[int, Branch]], list[tuple[int, Branch]]]:
+    """Return unstable and stable branches of a lane: of the first only those of the orbits' first points.
+
+    Every homoclinic orbit has points on these.
+    """
+    unstable, stable = (_of_lane(of, saddles, lane) for of in grown)
+    return [(b, branch) for b, branch in unstable if b // 2 % saddles.points.shape[1] == 0], stable
+
+
 def _lane_of(meetings: Meetings, saddles: Saddles, period: int) -> Int[np.ndarray, " meetings"]:
     return saddles.lane[meetings.unstable // (2 * period)]
 
@@ -127,16 +138,14 @@ def _crossings(
     wrap, angles = batch.chart.wrap, any(batch.chart.angles)
     seen = joined(
         [
-            crossing_segments(
-                *(_of_lane(of, saddles, lane) for of in grown), size[lane], wrap, angles, options.crossings
-            )
+            crossing_segments(*_pairs_of_lane(grown, saddles, lane), size[lane], wrap, angles, options.crossings)
             for lane in np.unique(saddles.lane).tolist()
         ]
     )
     coarse, fine = ((grown[0].curves[k], grown[1].curves[k]) for k in (0, 1))
     found = refine_crossings(lanes, coarse, seen, wrap)
     good = np.flatnonzero(np.isfinite(found.angle))
-    good = good[distinct_orbits(take(found.meetings, good))]
+    good = good[distinct_orbits(take(found.meetings, good), coarse, options.period)]
     lane = _lane_of(take(found.meetings, good), saddles, options.period)
     place = np.arange(len(lane)) - np.searchsorted(lane, lane)
     good, lane = good[place < options.crossings], lane[place < options.crossings]
@@ -159,8 +168,9 @@ def _tangencies(
     if any(batch.chart.angles):
         raise OptionError("tangencies are located in a plane without angles", "tangency")
     period = saddles.points.shape[1]
+    curves = grown[0].curves[0], grown[1].curves[0]
     places = [
-        near_tangencies(*(_of_lane(of, saddles, lane) for of in grown), size[lane], batch.chart.wrap)
+        near_tangencies(*_pairs_of_lane(grown, saddles, lane), size[lane], batch.chart.wrap, curves, period)
         for lane in np.unique(saddles.lane).tolist()
     ]
     meetings = joined(places)

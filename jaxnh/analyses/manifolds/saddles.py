@@ -55,17 +55,17 @@ class Germs(NamedTuple):
 def find_orbits(
     batch: LaneBatch, lanes: LaneRunner, period: int, starts: int, seed: int, box: Box
 ) -> tuple[Saddles, Float[np.ndarray, "lanes d"]]:
-    """Return all orbits of so many returns that Newton finds from random starts, by first coordinate; and sizes.
+    """Return all orbits of so many returns that Newton finds from random starts and their middle, and sizes of lanes.
 
-    Sizes are half the extent of the starts in each section coordinate, of angles one.
+    Those with a point nearest to the middle of the starts come first. Sizes are half the extent of the starts in each
+    section coordinate, of angles one.
     """
     many, _ = random_start_batch(batch, starts, seed, box)
     first = first_points(many, lanes)
-    size = _sizes(batch, first.reshape(batch.count, starts, -1))
-    path = first[:, None]
-    if period > 1:
-        path = np.concatenate([path, points_after(many, lanes, first, 0, period - 1)], axis=1)
-    lane = np.repeat(np.arange(batch.count), starts)
+    middle, size = _extent(batch, first.reshape(batch.count, starts, -1))
+    paths = [_path(many, lanes, first, period), _path(batch, lanes, middle, period)]
+    path = np.concatenate(paths)
+    lane = np.concatenate([np.repeat(np.arange(batch.count), starts), np.arange(batch.count)])
     finite = np.isfinite(path).all(axis=(1, 2))
     known = newton(batch, lanes, batch.strobe(), path[finite], lane[finite], size)
     d = first.shape[1]
@@ -76,9 +76,19 @@ def find_orbits(
     lane, points = lane[kept], points[kept]
     turn = (np.argmin(points[:, :, 0], axis=1)[:, None] + np.arange(period)) % period if len(lane) else np.zeros((0, 1))
     points = np.take_along_axis(points, turn[:, :, None].astype(int), axis=1) if len(lane) else points
-    order = np.lexsort((*(np.round(points[:, 0, k], 6) for k in range(d - 1, -1, -1)), lane))
+    away = np.abs(batch.chart.wrap(points - middle[lane, None])) / size[lane, None]
+    order = np.lexsort((points[:, 0, 0], np.round(away.max(axis=2).min(axis=1, initial=np.inf), 6), lane))
     lane, points = lane[order], points[order]
     return Saddles(lane, np.arange(len(lane)) - np.searchsorted(lane, lane), points), size
+
+
+def _path(
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: int
+) -> Float[np.ndarray, "lanes n d"]:
+    """Return points and their images, so many together."""
+    if period == 1:
+        return u[:, None]
+    return np.concatenate([u[:, None], points_after(batch, lanes, u, 0, period - 1)], axis=1)
 
 
 def take_orbits(orbits: Saddles, kept: Bool[np.ndarray, " orbits"], most: int) -> Saddles:
@@ -145,10 +155,14 @@ def _expanding(matrices: Float[np.ndarray, "n d d"]) -> tuple[Float[np.ndarray, 
     return np.where(one, value, np.nan), np.where(one[:, None], vector, np.nan)
 
 
-def _sizes(batch: LaneBatch, points: Float[np.ndarray, "lanes starts d"]) -> Float[np.ndarray, "lanes d"]:
+def _extent(
+    batch: LaneBatch, points: Float[np.ndarray, "lanes starts d"]
+) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]]:
+    """Return the middles of points and half their extent; of angles, and where there is none, zero and one."""
     finite = np.isfinite(points).all(axis=2, keepdims=True)
     high = np.max(np.where(finite, points, -np.inf), axis=1)
     low = np.min(np.where(finite, points, np.inf), axis=1)
     half, modulus = 0.5 * (high - low), np.maximum(np.abs(high), np.abs(low))
     size = np.where(half > 1e-6 * modulus, half, modulus)
-    return np.where(~np.array(batch.chart.angles) & (size > 0.0) & np.isfinite(size), size, 1.0)
+    known = ~np.array(batch.chart.angles) & (size > 0.0) & np.isfinite(size)
+    return np.where(known, 0.5 * (high + low), 0.0), np.where(known, size, 1.0)

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import Grown, Side, curves_of
 from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined, take
-from jaxnh.analyses.manifolds.curves import Branch, tangents
+from jaxnh.analyses.manifolds.curves import Branch, Curves, tangents
 from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
 from jaxnh.systems.chart import Wrap
 
@@ -26,9 +26,11 @@ _CANDIDATES = 12  # of a lane
 _FARTHEST = 0.4  # sizes: curves whose tangents are parallel so near may be tangent at a parameter near by
 _ALIKE = 0.05  # of x, of places that are images of one another
 _TRIVIAL = 0.05  # sizes: of both curves, where they begin
-_PROBES = (1e-4, 1e-4, 1e-5)  # of both x and, in units of itself, the parameter, for differences
-_LARGEST_STEPS = (0.1, 0.1, 0.03)
+_PROBES = (1e-6, 1e-6, 1e-7)  # of both x and, in units of itself, the parameter, for differences
+_LARGEST_STEPS = (0.05, 0.05, 0.01)
+_PLACE_STEPS = 8
 _STEPS = 24
+_NEAR = 1e-4  # of the parameter, in units of itself: a step below it is one of Newton near the solution
 _AT_REST = 1e-9  # of the parameter, in units of itself
 _ZERO = 1e-7  # sizes
 _ROUNDING = 1e-11  # of the parameter, in units of itself
@@ -54,8 +56,10 @@ def near_tangencies(
     stable: Sequence[tuple[int, Branch]],
     size: Float[np.ndarray, " 2"],
     wrap: Wrap,
+    curves: tuple[Curves, Curves],
+    n: int,
 ) -> Meetings:
-    """Return where tangents of two branches near each other are parallel, the nearest first."""
+    """Return where tangents of two branches near each other are parallel, the nearest first, one of each orbit."""
     from scipy.spatial import cKDTree  # here, as it takes a tenth of a second to import
 
     parts = list[Meetings]()
@@ -73,11 +77,14 @@ def near_tangencies(
             kept = (sine[1:] * sine[:-1] <= 0.0) & np.isfinite(distance[1:]) & np.isfinite(distance[:-1])
             kept &= np.maximum(arcs[0][1:], arcs[1][1:]) > _TRIVIAL
             at = np.flatnonzero(kept) + 1
-            x = np.stack([one.x[1:-1][at], other.x[1:-1][near[at]]], axis=1)
+            share = sine[at - 1] / (sine[at - 1] - sine[at])
+            centre = 0.5 * (one.x[1:-1] + one.x[2:])
+            own = centre[at - 1] + share * (centre[at] - centre[at - 1])
+            x = np.stack([own, _foot(other, near[at], middle[at], size)], axis=1)
             parts.append(Meetings(np.full(len(at), number), np.full(len(at), other_number), x, gap[at]))
     every = joined(parts)
     every = take(every, np.argsort(every.arc, kind="stable")[: 16 * _CANDIDATES])
-    return take(every, distinct_orbits(every, _ALIKE)[:_CANDIDATES])
+    return take(every, distinct_orbits(every, curves, n, _ALIKE)[:_CANDIDATES])
 
 
 class _System(NamedTuple):
@@ -102,7 +109,10 @@ class _System(NamedTuple):
     directions: tuple[np.ndarray, np.ndarray]
 
     def residual(self, number: Int[np.ndarray, " some"], z: Float[np.ndarray, "some 3"]) -> Float[np.ndarray, "some 3"]:
-        """Return the gap in sizes, and the sine of the angle, at places and values of the parameter."""
+        """Return the gap along the stable branch, the rate of that across, and the gap across, in sizes.
+
+        The rate is that in x of the unstable branch. Where this is a parabola in x, however sharp, it is linear.
+        """
         at = []
         for k, branches in enumerate((self.meetings.unstable, self.meetings.stable)):
             side, n = self.sides[k], self.saddles.points.shape[1]
@@ -115,40 +125,66 @@ class _System(NamedTuple):
             germs = Germs(*(leaf[row] for leaf in germs))
             sign = np.sign(np.sum(germs.directions * self.directions[k][branch], axis=1))
             curves = curves_of(strobe, p, germs._replace(directions=sign[:, None] * germs.directions), n, size)
-            fine = np.isfinite(curves.growth)
+            fine = np.isfinite(curves.growth) & np.isfinite(z).all(axis=1)
             points, ways = np.full((2, len(number), 2), np.nan)
             places = np.flatnonzero(fine)
             if len(places):
                 points[fine], ways[fine] = tangents(self.lanes, curves, places, z[places, k], self.which)
             at.append((points, ways / size))
         gap = self.batch.chart.wrap(at[0][0] - at[1][0]) / size
-        lengths = np.linalg.norm(at[0][1], axis=1) * np.linalg.norm(at[1][1], axis=1)
-        return np.concatenate([gap, (_cross(at[0][1], at[1][1]) / lengths)[:, None]], axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            way = at[1][1] / np.linalg.norm(at[1][1], axis=1, keepdims=True)
+        return np.stack([np.sum(gap * way, axis=1), _cross(at[0][1], way), _cross(gap, way)], axis=1)
 
     def solve(self, z: Float[np.ndarray, "some 3"]) -> tuple[Float[np.ndarray, "some 3"], Float[np.ndarray, " some"]]:
-        """Return the solutions of Newton, not numbers where it does not come to rest, and its last step."""
+        """Return the solutions of Newton, not numbers where it does not come to rest, and its last step.
+
+        Places where tangents are parallel are solved for alone first, and after each step of the parameter.
+        """
         z, last = z.copy(), np.full(len(z), np.inf)
-        open_ = np.arange(len(z))
-        result = np.full_like(z, np.nan)
+        self.steps(z, 2, _PLACE_STEPS)
+        result, open_ = np.full_like(z, np.nan), np.arange(len(z))
         for _ in range(_STEPS):
+            part = self._replace(meetings=take(self.meetings, open_))
+            now = z[open_]
+            gap, last[open_] = part.steps(now, 3, 1)
+            rest = (last[open_] < _AT_REST) & (gap < _ZERO)
+            result[open_[rest]] = now[rest]
+            left = ~rest & np.isfinite(now).all(axis=1)
+            open_, now = open_[left], now[left]
             if not len(open_):
                 break
-            unit = np.stack([np.ones(len(open_)), np.ones(len(open_)), np.maximum(np.abs(z[open_, 2]), 1e-3)], axis=1)
-            probes = np.array(_PROBES) * unit
-            shifts = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-            every = (z[open_][None] + shifts[:, None] * probes[None]).reshape(-1, 3)
-            values = self.residual(np.tile(open_, len(shifts)), every).reshape(len(shifts), len(open_), 3)
-            jacobian = np.moveaxis((values[1:4] - values[4:]) / 2.0, 0, 2) / probes[:, None, :]
-            fine = np.isfinite(values).all(axis=(0, 2)) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0.0)
-            open_, unit = open_[fine], unit[fine]
-            step = np.linalg.solve(jacobian[fine], values[0][fine][..., None])[..., 0]
-            share = np.minimum(1.0, np.min(np.array(_LARGEST_STEPS) * unit / np.abs(step), axis=1))
-            z[open_] -= share[:, None] * step
-            last[open_] = np.abs(step[:, 2]) / unit[:, 2]
-            rest = (last[open_] < _AT_REST) & (np.abs(values[0][fine]).max(axis=1) < _ZERO)
-            result[open_[rest]] = z[open_[rest]]
-            open_ = open_[~rest]
+            if (last[open_] > _NEAR).any():
+                part._replace(meetings=take(self.meetings, open_)).steps(now, 2, 2)
+            z[open_] = now
         return result, last
+
+    def steps(
+        self, z: Float[np.ndarray, "some 3"], free: int, count: int
+    ) -> tuple[Float[np.ndarray, " some"], Float[np.ndarray, " some"]]:
+        """Make steps of Newton on the first unknowns, in place, not numbers where there is none.
+
+        Returns:
+            The largest residual before the last one, and what it moves the parameter by, in units of itself.
+        """
+        gap, moved = np.full(len(z), np.inf), np.zeros(len(z))
+        shifts = np.concatenate([np.zeros((1, 3)), np.eye(3)[:free], -np.eye(3)[:free]])
+        for _ in range(count):
+            unit = np.stack([np.ones(len(z)), np.ones(len(z)), np.maximum(np.abs(z[:, 2]), 1e-3)], axis=1)
+            probes = np.array(_PROBES) * unit
+            every = (z[None] + shifts[:, None] * probes[None]).reshape(-1, 3)
+            values = self.residual(np.tile(np.arange(len(z)), len(shifts)), every)
+            values = values.reshape(len(shifts), len(z), 3)[:, :, :free]
+            jacobian = np.moveaxis((values[1 : free + 1] - values[free + 1 :]) / 2.0, 0, 2) / probes[:, None, :free]
+            step = np.full((len(z), free), np.nan)
+            fine = np.isfinite(values).all(axis=(0, 2)) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0.0)
+            step[fine] = np.linalg.solve(jacobian[fine], values[0][fine][..., None])[..., 0]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = np.minimum(1.0, np.min((np.array(_LARGEST_STEPS) * unit)[:, :free] / np.abs(step), axis=1))
+            z[:, :free] -= share[:, None] * step
+            gap = np.abs(values[0]).max(axis=1)
+            moved = np.abs(step[:, 2]) / unit[:, 2] if free > 2 else moved
+        return gap, moved
 
 
 def locate_tangencies(
@@ -196,6 +232,14 @@ def nearest_tangencies(of: Tangencies, value: float) -> Int[np.ndarray, " kept"]
         if np.isfinite(of.value[i]) and all(abs(of.value[i] - of.value[j]) > unit + of.error[i] for j in kept):
             kept.append(i)
     return np.array(kept[:KEPT], int)
+
+
+def _foot(branch: Branch, segment: np.ndarray, points: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return x of the points of segments of a branch nearest to some points, in sizes."""
+    begin, end = branch.points[1:-1][segment] / size, branch.points[2:][segment] / size
+    way = end - begin
+    share = np.clip(np.sum((points - begin) * way, axis=1) / np.sum(way * way, axis=1), 0.0, 1.0)
+    return branch.x[1:-1][segment] + share * (branch.x[2:] - branch.x[1:-1])[segment]
 
 
 def _segments(branch: Branch, size: np.ndarray, wrap: Wrap) -> tuple[np.ndarray, np.ndarray]:

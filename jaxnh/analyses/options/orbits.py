@@ -138,7 +138,12 @@ class ManifoldsOptions(Options):
     box: dict[str, Side] = Field(
         default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
     )
-    saddles: int = Field(default=1, ge=1, le=64, description="Saddle orbits of a lane that are kept")
+    saddles: int = Field(
+        default=1,
+        ge=1,
+        le=64,
+        description="Saddle orbits of a lane that are kept: those nearest to the middle of the box",
+    )
     kind: Literal["both", "unstable", "stable"] = Field(default="both", description="Manifolds that are grown")
     length: float = Field(default=10.0, gt=0, description="Arc length of a branch, in halves of the box")
     spacing: float = Field(
