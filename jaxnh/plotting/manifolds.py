@@ -6,10 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
-from jaxnh.plotting.frame import legend_above, new_axes
+from jaxnh.plotting.frame import new_axes
 from jaxnh.plotting.groups import lane_of, require_variables
 from jaxnh.plotting.planes import draw_points, finish_plane, plane_coordinates
 from jaxnh.plotting.style import BLACK, BLUE, LINE, VERMILION
@@ -35,12 +34,13 @@ def manifolds(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0, over: 
     x, y = (variable.transpose("branch", ..., "point").to_numpy() for variable in plane_coordinates(here))
     (kinds,) = (variable.to_numpy() for variable in require_variables(here, "branch_kind"))
     length = x.shape[-1]
-    handles = list[Artist]()
+    within = False
     for number, (word, colour) in enumerate(_KINDS):
         rows = [leaf[kinds == number].reshape(-1, length) for leaf in (x, y)]
         lines = [np.concatenate([leaf, np.full((len(leaf), 1), np.nan)], axis=1).ravel() for leaf in rows]
-        if len(lines[0]):
-            handles += ax.plot(*lines, color=colour, linewidth=0.5, label=word, zorder=3)
+        if len(lines[0]):  # stable manifolds go far beyond the attractor
+            ax.plot(*lines, color=colour, linewidth=0.5, label=word, zorder=3, scalex=not within, scaley=not within)
+            within = word == "unstable" and bool(np.isfinite(lines[0]).any())
     ax.plot(x[..., 0].ravel(), y[..., 0].ravel(), "o", color=BLACK, markersize=3, zorder=4)
-    legend_above(ax, handles)
+    ax.legend(loc="best")
     return finish_plane(data, lane, ax)

@@ -42,6 +42,7 @@ analyses:
   branches: {max_period: 1, transient: 30, step: 0.1}
   windows: {max_period: 1, transient: 30, levels: 0, crisis: 0}
   transients: {n_starts: 16, box: {x1: [-0.1, 0.1]}, max_periods: 16}
+  manifolds: {n_starts: 2, box: {x1: [-0.1, 0.1]}, length: 0.1, kind: unstable}
 """
 OVER_TWO_AXES = {"curves": "bifurcation_curves", "codimension_two": "special_points"}
 """Groups of analyses that need two, and their panels."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.curves import Branch, Curves, distance_from, first_length, grow, positions
+from jaxnh.analyses.manifolds.curves import Branch, Curves, curves_of, distance_from, grow, positions
 from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
 from jaxnh.maps.family import Maps, padded_like
 
@@ -65,15 +65,10 @@ def grow_branches(
     turned = np.sum(germs[0].directions * germs[1].directions, axis=1) < 0.0
     germs[1] = germs[1]._replace(directions=np.where(turned[:, None], -1.0, 1.0) * germs[1].directions)
     n = saddles.points.shape[1]
+    each = {name: np.repeat(values, 2 * n) for name, values in p.items()}
     curves, fine = (
-        curves_of(
-            of,
-            {name: np.repeat(values, 2 * n) for name, values in p.items()},
-            _both(each),
-            n,
-            np.repeat(scale, 2 * n, axis=0),
-        )
-        for of, each in zip(side.maps, germs, strict=True)
+        curves_of(of, each, _both(of_map), n, np.repeat(scale, 2 * n, axis=0), again=again)
+        for of, of_map, again in zip(side.maps, germs, (False, True), strict=True)
     )
     branches = grow(lanes, curves, wrap, length, spacing, most)
     deviation = np.full(len(branches), np.nan)
@@ -81,25 +76,12 @@ def grow_branches(
     if known:
         x = [branch.x[1:] for branch in branches if branch is not None]
         which = np.repeat(known, [len(each) for each in x])
-        points = positions(lanes, fine, which, np.concatenate(x), earlier=1)
+        points = positions(lanes, fine, which, np.concatenate(x))
         for b, part in zip(known, np.split(points, np.cumsum([len(each) for each in x])[:-1]), strict=True):
             branch = branches[b]
             assert branch is not None
             deviation[b] = distance_from(branch, part, curves.size[b], wrap)
     return Grown((curves, fine), branches, deviation)
-
-
-def curves_of(
-    strobe: Maps,
-    p: dict[str, Float[np.ndarray, " branches"]],
-    germs: Germs,
-    n: int,
-    size: Float[np.ndarray, "branches d"],
-) -> Curves:
-    """Return the curves that begin with germs of orbits of n returns, one each."""
-    turns = np.where(germs.multiplier < 0.0, 2, 1)
-    growth = turns * np.log(np.abs(germs.multiplier))
-    return Curves(strobe, p, germs.points, germs.directions, growth, first_length(growth), turns * n, size)
 
 
 def has_branches(germs: Germs, n: int) -> Bool[np.ndarray, " orbits"]:

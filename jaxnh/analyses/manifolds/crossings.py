@@ -82,64 +82,53 @@ def crossing_segments(
     return take(every, np.argsort(every.arc, kind="stable")[: _CANDIDATES * most])
 
 
-def distinct_orbits(
-    meetings: Meetings, curves: tuple[Curves, Curves], n: int, same: float = _SAME
-) -> Int[np.ndarray, " kept"]:
+def distinct_orbits(meetings: Meetings, curves: tuple[Curves, Curves], same: float = _SAME) -> Int[np.ndarray, " kept"]:
     """Return the numbers of meetings that are no image of one before.
 
-    An image k turns of the orbits later is by k n returns further along the unstable branch and as much less along the
+    An image k turns of the orbits later is by k of x further along the unstable branch, and as much less along the
     stable one; where the multiplier is negative each turn changes the side.
 
     Args:
         meetings: those of unstable branches that begin at the first points of orbits.
         curves: of unstable and of stable manifolds.
-        n: returns of the orbits.
         same: of x, how far images may be from where they should be.
     """
     numbers = meetings.unstable, meetings.stable
-    returns = [of.returns[which] for of, which in zip(curves, numbers, strict=True)]
-    passed = [meetings.x[:, k] * each / n for k, each in enumerate(returns)]
-    total, kept = passed[0] + passed[1], list[int]()
+    flips = [of.multiplier[which] < 0.0 for of, which in zip(curves, numbers, strict=True)]
+    passed, total, kept = meetings.x[:, 0], meetings.x.sum(axis=1), list[int]()
     for i in range(len(total)):
         others = np.array(kept, int)
-        turns = passed[0][others] - passed[0][i]
+        turns = passed[others] - passed[i]
         whole = np.round(turns)
-        alike = (np.abs(total[others] - total[i]) < 2 * same) & (np.abs(turns - whole) < 2 * same)
-        for which, each in zip(numbers, returns, strict=True):
+        alike = (np.abs(total[others] - total[i]) < same) & (np.abs(turns - whole) < same)
+        for which, flip in zip(numbers, flips, strict=True):
             turned = (which[others] + which[i]) % 2 == 1
-            alike &= (which[others] // 2 == which[i] // 2) & (turned == ((each[i] > n) & (whole % 2 == 1)))
+            alike &= (which[others] // 2 == which[i] // 2) & (turned == (flip[i] & (whole % 2 == 1)))
         if not alike.any():
             kept.append(i)
     return np.array(kept, int)
 
 
-def refine_crossings(
-    lanes: LaneRunner, curves: tuple[Curves, Curves], meetings: Meetings, wrap: Wrap, earlier: int = 0
-) -> Crossings:
+def refine_crossings(lanes: LaneRunner, curves: tuple[Curves, Curves], meetings: Meetings, wrap: Wrap) -> Crossings:
     """Return the crossings near meetings, not numbers where Newton does not come to rest.
 
     Args:
         curves: of unstable and of stable manifolds.
-        earlier: segments that the curves begin earlier than need be.
     """
     x, count = meetings.x.copy(), len(meetings.x)
     size, numbers = curves[0].size[meetings.unstable], (meetings.unstable, meetings.stable)
     points, angle, rest = np.full((count, 2), np.nan), np.full(count, np.nan), np.zeros(count, bool)
     for _ in range(_STEPS if count else 0):
-        at = [
-            tangents(lanes, of, which, x[:, k], earlier)
-            for k, (of, which) in enumerate(zip(curves, numbers, strict=True))
-        ]
+        at = [tangents(lanes, of, which, x[:, k]) for k, (of, which) in enumerate(zip(curves, numbers, strict=True))]
         gap = wrap(at[0][0] - at[1][0]) / size
         matrix = np.stack([at[0][1] / size, -at[1][1] / size], axis=2)
-        lengths = np.linalg.norm(matrix, axis=1)
-        sine = np.abs(_cross(matrix[:, :, 0], matrix[:, :, 1])) / np.prod(lengths, axis=1)
+        area, product = _cross(matrix[:, :, 0], matrix[:, :, 1]), np.sum(matrix[:, :, 0] * matrix[:, :, 1], axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             step = np.stack([_cross(gap, matrix[:, :, 1]), _cross(matrix[:, :, 0], gap)], axis=1)
-            step = step / _cross(matrix[:, :, 0], matrix[:, :, 1])[:, None]
+            step = step / area[:, None]
             x = x - step * np.minimum(1.0, _LARGEST_STEP / np.abs(step).max(axis=1))[:, None]
             rest = np.linalg.norm(gap, axis=1) < _AT_REST
-            points, angle = at[0][0], np.arcsin(np.clip(sine, 0.0, 1.0))
+            points, angle = at[0][0], np.arctan2(np.abs(area), np.abs(product))
     points, angle = np.where(rest[:, None], points, np.nan), np.where(rest, angle, np.nan)
     return Crossings(meetings._replace(x=x), points, angle)
 

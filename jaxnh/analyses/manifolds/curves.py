@@ -1,10 +1,10 @@
 """Unstable manifolds of one dimension as curves of points, whose distances and turns are small.
 
-A branch is the curve x -> G^k(u + δ m^τ v), k + τ = x, with G a turn of the orbit, two where the multiplier is
-negative, m > 1 its multiplier, v the direction at the point u, and δ small: the images of a fundamental segment, one
-after the other (Hobson, J. Comput. Phys. 104 (1993) 14). Points are inserted between neighbours, as images of points of
-the first segment and not by interpolation, until distances and turns are small (Krauskopf and Osinga, J. Comput. Phys.
-146 (1998) 404). A straight first segment is off by δ² across the manifold, which the images contract.
+A branch is the curve x -> G^k(u ± δ m^τ v), k + τ = x, with G a turn of the orbit, m > 1 the modulus of its
+multiplier, where this is negative with another sign for each turn, v the direction at the point u, and δ small: the
+images of a fundamental segment, one after the other (Hobson, J. Comput. Phys. 104 (1993) 14). Points are inserted
+between neighbours, as images of points of the first segment and not by interpolation, until distances and turns are
+small (Krauskopf and Osinga, J. Comput. Phys. 146 (1998) 404). A straight first segment is off by δ² across the manifold, which the images contract.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneRunner, select
+from jaxnh.analyses.manifolds.saddles import Germs
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.systems.chart import Wrap
@@ -27,12 +28,13 @@ NONE, LENGTH, MAX_POINTS, SETTLED, LOST = range(len(ENDS))
 
 _END = 1e-5  # sizes: of the first segment, at most, so that it is straight
 _LONGEST = 1e-6  # sizes: δ at most; rounding of points moves images along the curve by 1e-16/δ of x
+_SHORT = 1e-11  # sizes: a start below it says nothing
 
 _VISIBLE = 1e-3  # sizes: where points begin
 _SAGITTA = 0.05  # of the spacing: largest product of the turn at a point and the distance to a neighbour
 _SHARP, _SHORTEST = 0.3, 1e-4  # rad, and of the spacing: neighbours turn by more only where they are nearer
 _PARTS = 8  # of a segment that is added
-_FINEST = 1e-9  # of x: neighbours are not brought nearer
+_FINEST, _ROUNDING = 1e-9, 1e-15  # of x, and in sizes over δ: neighbours are not brought nearer
 _STILL = 1e-6  # sizes: a branch that has grown by less in a segment has settled
 _MOST_SEGMENTS = 512  # beyond those that are too short to be seen
 _MOST_TURNS = 4096
@@ -46,9 +48,10 @@ class Curves(NamedTuple):
         strobe: the map, or its inverse.
         p: parameters of each, by name, (branches,).
         points, directions: (branches, d); a direction has the length 1 in sizes.
-        growth: ln m, (branches,).
+        multiplier: of a turn of the orbit, (branches,).
         delta: δ, in sizes, (branches,).
-        returns: of the map in a segment, (branches,).
+        earlier: segments that points begin earlier than need be, (branches,).
+        returns: of the map in a turn.
         size: (branches, d).
     """
 
@@ -56,15 +59,35 @@ class Curves(NamedTuple):
     p: Mapping[str, Float[np.ndarray, " branches"]]
     points: Float[np.ndarray, "branches d"]
     directions: Float[np.ndarray, "branches d"]
-    growth: Float[np.ndarray, " branches"]
+    multiplier: Float[np.ndarray, " branches"]
     delta: Float[np.ndarray, " branches"]
-    returns: Int[np.ndarray, " branches"]
+    earlier: Int[np.ndarray, " branches"]
+    returns: int
     size: Float[np.ndarray, "branches d"]
 
+    @property
+    def growth(self) -> Float[np.ndarray, " branches"]:
+        """Logarithm of m, (branches,)."""
+        return np.log(np.abs(self.multiplier))
 
-def first_length(growth: Float[np.ndarray, " branches"]) -> Float[np.ndarray, " branches"]:
-    """Return δ, in sizes, of branches that grow by these."""
-    return np.minimum(_LONGEST, _END * np.exp(-growth))
+
+def curves_of(
+    strobe: Maps,
+    p: Mapping[str, Float[np.ndarray, " branches"]],
+    germs: Germs,
+    returns: int,
+    size: Float[np.ndarray, "branches d"],
+    again: bool = False,
+) -> Curves:
+    """Return the curves that begin with germs of orbits of so many returns, one each.
+
+    Args:
+        again: whether points begin a segment earlier, where that is not below rounding.
+    """
+    modulus = np.abs(germs.multiplier)
+    delta = np.minimum(_LONGEST, _END / modulus)
+    earlier = (again & (delta > _SHORT * modulus)).astype(int)
+    return Curves(strobe, p, germs.points, germs.directions, germs.multiplier, delta, earlier, returns, size)
 
 
 class Branch(NamedTuple):
@@ -84,30 +107,31 @@ class Branch(NamedTuple):
 
 
 def positions(
-    lanes: LaneRunner, curves: Curves, which: Int[np.ndarray, " some"], x: Float[np.ndarray, " some"], earlier: int = 0
+    lanes: LaneRunner, curves: Curves, which: Int[np.ndarray, " some"], x: Float[np.ndarray, " some"]
 ) -> Float[np.ndarray, "some d"]:
-    """Return points of curves, as images of those so many segments earlier than need be."""
-    turns, u = _begin(curves, which, x, earlier)
-    return np.asarray(lanes(section_map, (curves.strobe,), (turns, u, select(dict(curves.p), which))))
+    """Return points of curves."""
+    returns, u = _begin(curves, which, x)
+    return np.asarray(lanes(section_map, (curves.strobe,), (returns, u, select(dict(curves.p), which))))
 
 
 def tangents(
-    lanes: LaneRunner, curves: Curves, which: Int[np.ndarray, " some"], x: Float[np.ndarray, " some"], earlier: int = 0
+    lanes: LaneRunner, curves: Curves, which: Int[np.ndarray, " some"], x: Float[np.ndarray, " some"]
 ) -> tuple[Float[np.ndarray, "some d"], Float[np.ndarray, "some d"]]:
     """Return points of curves and their derivatives in x."""
-    turns, u = _begin(curves, which, x, earlier)
-    at = lanes(derivatives, (curves.strobe,), (turns, u, select(dict(curves.p), which)))
+    returns, u = _begin(curves, which, x)
+    at = lanes(derivatives, (curves.strobe,), (returns, u, select(dict(curves.p), which)))
     moved = (u - curves.points[which]) * curves.growth[which, None]
     return np.asarray(at.image), np.einsum("nij,nj->ni", np.asarray(at.monodromy), moved)
 
 
 def _begin(
-    curves: Curves, which: Int[np.ndarray, " some"], x: Float[np.ndarray, " some"], earlier: int
+    curves: Curves, which: Int[np.ndarray, " some"], x: Float[np.ndarray, " some"]
 ) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, "some d"]]:
-    segment = np.floor(x)
+    segment, earlier = np.floor(x), curves.earlier[which]
+    turns = (segment + earlier).astype(np.int32)
     share = curves.delta[which] * np.exp(curves.growth[which] * (x - segment - earlier))
-    u = curves.points[which] + share[:, None] * curves.directions[which]
-    return ((segment + earlier) * curves.returns[which]).astype(np.int32), u
+    share = np.where((curves.multiplier[which] < 0.0) & (turns % 2 == 1), -share, share)
+    return turns * np.int32(curves.returns), curves.points[which] + share[:, None] * curves.directions[which]
 
 
 def grow(
@@ -141,6 +165,7 @@ class _Growing:
     ) -> None:
         self.start, self.size, self.first = curves.points[number], curves.size[number], first
         self.wrap, self.length, self.spacing, self.most = wrap, length, spacing, most
+        self.finest = max(_FINEST, _ROUNDING / float(curves.delta[number]))
         self.x, self.u, self.end = np.zeros(0), np.zeros((0, len(self.start))), NONE
 
     def begin(self) -> Float[np.ndarray, " some"]:
@@ -158,9 +183,9 @@ class _Growing:
         """Return values of x to be added, none once the branch is done."""
         arc, chord = self._arc()
         known = len(arc)  # points before the first that is none
-        gaps = self._coarse(chord) & (arc[:-1] < self.length) & (np.diff(self.x[:known]) > _FINEST)
+        gaps = self._coarse(chord) & (arc[:-1] < self.length) & (np.diff(self.x[:known]) > self.finest)
         middles = 0.5 * (self.x[: known - 1] + self.x[1:known])[gaps]
-        if known < len(self.x) and arc[-1] < self.length and self.x[known] - self.x[known - 1] > _FINEST:
+        if known < len(self.x) and arc[-1] < self.length and self.x[known] - self.x[known - 1] > self.finest:
             middles = np.append(middles, 0.5 * (self.x[known - 1] + self.x[known]))
         if not len(middles) and arc[-1] >= self.length:
             self.end = LENGTH

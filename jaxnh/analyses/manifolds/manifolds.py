@@ -31,7 +31,10 @@ from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.analyses.trajectories.states import section_attrs
+from jaxnh.maps.iterate import section_map
+from jaxnh.systems.discrete_map import DiscreteMap
 
+_UNDOES = 1e-5  # sizes: how far from it an inverse map may take a point back
 _RETURNS = 24.0  # of a point of a branch, for the expected work
 
 
@@ -73,6 +76,8 @@ def run(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Da
         for side in sides.values():
             germs = find_germs(batch, lanes, side.maps[0], p, orbits.points, scale, side.backward)
             kept |= has_branches(germs, options.period)
+        if 1 in sides:
+            _check_inverse(batch, lanes, sides[1], orbits, size)
     saddles = take_orbits(orbits, kept, options.saddles)
     number = np.bincount(orbits.lane[kept], minlength=batch.count)
     with lanes.stage(f"manifolds: {len(saddles.lane):,} saddles", periods(options, batch.count)):
@@ -102,6 +107,20 @@ def _sides(options: ManifoldsOptions, batch: LaneBatch) -> dict[int, Side]:
         except TypeError as error:
             raise OptionError(f"{error}; stable manifolds need that: take kind: unstable", "kind") from None
     return sides
+
+
+def _check_inverse(
+    batch: LaneBatch, lanes: LaneRunner, side: Side, orbits: Saddles, size: Float[np.ndarray, "lanes d"]
+) -> None:
+    """Check that an inverse that a map says takes points of its orbits back."""
+    if not isinstance(batch.system, DiscreteMap) or not len(orbits.lane):
+        return
+    last = orbits.points[:, -1]
+    back = np.asarray(
+        lanes(section_map, (side.maps[0], np.int32(1)), (orbits.points[:, 0], parameters_of(batch, orbits.lane)))
+    )
+    if not np.max(np.abs(batch.chart.wrap(back - last)) / size[orbits.lane]) < _UNDOES:
+        raise OptionError("the map gives no inverse of itself: it does not take a point of an orbit back", "kind")
 
 
 def _of_lane(grown: Grown, saddles: Saddles, lane: int) -> list[tuple[int, Branch]]:
@@ -145,12 +164,12 @@ def _crossings(
     coarse, fine = ((grown[0].curves[k], grown[1].curves[k]) for k in (0, 1))
     found = refine_crossings(lanes, coarse, seen, wrap)
     good = np.flatnonzero(np.isfinite(found.angle))
-    good = good[distinct_orbits(take(found.meetings, good), coarse, options.period)]
+    good = good[distinct_orbits(take(found.meetings, good), coarse)]
     lane = _lane_of(take(found.meetings, good), saddles, options.period)
     place = np.arange(len(lane)) - np.searchsorted(lane, lane)
     good, lane = good[place < options.crossings], lane[place < options.crossings]
     kept = Crossings(take(found.meetings, good), found.points[good], found.angle[good])
-    again = refine_crossings(lanes, fine, kept.meetings, wrap, earlier=1)
+    again = refine_crossings(lanes, fine, kept.meetings, wrap)
     deviation = np.linalg.norm(wrap(again.points - kept.points) / size[lane], axis=1)
     return kept, deviation, lane
 
@@ -170,7 +189,7 @@ def _tangencies(
     period = saddles.points.shape[1]
     curves = grown[0].curves[0], grown[1].curves[0]
     places = [
-        near_tangencies(*_pairs_of_lane(grown, saddles, lane), size[lane], batch.chart.wrap, curves, period)
+        near_tangencies(*_pairs_of_lane(grown, saddles, lane), size[lane], batch.chart.wrap, curves)
         for lane in np.unique(saddles.lane).tolist()
     ]
     meetings = joined(places)

@@ -21,6 +21,7 @@ from jaxnh.maps.family import Maps
 from jaxnh.orbits.recognition import equal_cycles
 from jaxnh.orbits.shooting import close_orbits
 
+_SCALES = 12  # of the distance of random starts from the middle, each half of the one before
 _NEUTRAL = 1e-6  # of ln |μ|: a manifold that grows more slowly is not followed
 
 
@@ -55,19 +56,25 @@ class Germs(NamedTuple):
 def find_orbits(
     batch: LaneBatch, lanes: LaneRunner, period: int, starts: int, seed: int, box: Box
 ) -> tuple[Saddles, Float[np.ndarray, "lanes d"]]:
-    """Return all orbits of so many returns that Newton finds from random starts and their middle, and sizes of lanes.
+    """Return all orbits of so many returns that Newton finds from starts in a box, and the sizes of lanes.
 
-    Those with a point nearest to the middle of the starts come first. Sizes are half the extent of the starts in each
-    section coordinate, of angles one.
+    Starts are the middle of the box, and random ones that lie the denser the nearer to it: Newton sees a saddle that
+    expands much from near by alone. Orbits with a point nearest to the middle come first. Sizes are half the extent of
+    the starts in each section coordinate, of angles one.
     """
+    at_middle = {name: (0.5 * (low + high),) * 2 for name, (low, high) in box.items()}
+    middle = first_points(random_start_batch(batch, 1, seed, at_middle)[0], lanes)
     many, _ = random_start_batch(batch, starts, seed, box)
-    first = first_points(many, lanes)
-    middle, size = _extent(batch, first.reshape(batch.count, starts, -1))
+    first = first_points(many, lanes).reshape(batch.count, starts, -1)
+    size, reach = _extent(batch, first)
+    nearer = 0.5 ** (np.arange(starts) % _SCALES)
+    first = middle[:, None] + nearer[:, None] * batch.chart.wrap(first - middle[:, None])
+    first = first.reshape(-1, first.shape[-1])
     paths = [_path(many, lanes, first, period), _path(batch, lanes, middle, period)]
     path = np.concatenate(paths)
     lane = np.concatenate([np.repeat(np.arange(batch.count), starts), np.arange(batch.count)])
     finite = np.isfinite(path).all(axis=(1, 2))
-    known = newton(batch, lanes, batch.strobe(), path[finite], lane[finite], size)
+    known = newton(batch, lanes, batch.strobe(), path[finite], lane[finite], reach)
     d = first.shape[1]
     orbits = [(cycles.lane, cycles.points) for cycles in known if cycles.points.shape[1] == period]
     lane = np.concatenate([np.zeros(0, int), *(lane for lane, _ in orbits)])
@@ -116,6 +123,8 @@ def find_germs(
         points: near the orbits.
         backward: whether the map is the inverse of that along which the points are in order.
     """
+    if not len(points):
+        return Germs(np.zeros((0, points.shape[2])), np.zeros((0, points.shape[2])), np.zeros(0))
     if backward:
         germs = find_germs(batch, lanes, strobe, p, points[:, ::-1], size)
         turned = [leaf.reshape(*points.shape[:2], -1)[:, ::-1].reshape(leaf.shape) for leaf in germs]
@@ -158,11 +167,11 @@ def _expanding(matrices: Float[np.ndarray, "n d d"]) -> tuple[Float[np.ndarray, 
 def _extent(
     batch: LaneBatch, points: Float[np.ndarray, "lanes starts d"]
 ) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]]:
-    """Return the middles of points and half their extent; of angles, and where there is none, zero and one."""
+    """Return half the extent of points, and that or what is more, their largest modulus; of angles one."""
     finite = np.isfinite(points).all(axis=2, keepdims=True)
     high = np.max(np.where(finite, points, -np.inf), axis=1)
     low = np.min(np.where(finite, points, np.inf), axis=1)
     half, modulus = 0.5 * (high - low), np.maximum(np.abs(high), np.abs(low))
     size = np.where(half > 1e-6 * modulus, half, modulus)
     known = ~np.array(batch.chart.angles) & (size > 0.0) & np.isfinite(size)
-    return np.where(known, 0.5 * (high + low), 0.0), np.where(known, size, 1.0)
+    return np.where(known, size, 1.0), np.where(known, np.maximum(size, modulus), 1.0)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, range_in_words, variable
@@ -58,11 +59,15 @@ def variables(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner, ma
     each = 2 * n
     start = np.tile(np.repeat(np.arange(1, n + 1), 2), len(kinds)).astype(np.int32)
     signs = np.tile(np.array(SIDES, np.int8), n * len(kinds))
-    numbers = np.bincount(made.saddles.lane, minlength=batch.count)
+    numbers, dims = np.bincount(made.saddles.lane, minlength=batch.count), (LANE, "branch")
+
+    def repeated(values: np.ndarray) -> np.ndarray:
+        return np.tile(values, (batch.count, 1))
+
     entries: dict[str, Entry] = {
-        "branch_kind": flag("branch", np.repeat(kinds, each), "kind of manifold that the branch is of", KINDS),
-        "branch_start": variable("branch", start, "number of the point of the orbit that the branch begins at"),
-        "branch_sign": variable("branch", signs, "side of the point that the branch begins to"),
+        "branch_kind": flag(dims, repeated(np.repeat(kinds, each)), "kind of manifold that the branch is of", KINDS),
+        "branch_start": variable(dims, repeated(start), "number of the point of the orbit that the branch begins at"),
+        "branch_sign": variable(dims, repeated(signs), "side of the point that the branch begins to"),
         "saddles": variable(LANE, made.number.astype(np.int32), "number of saddle orbits known, kept or not"),
         **_of_branches(options, batch, lanes, made),
     }
@@ -86,8 +91,8 @@ def _of_branches(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner,
         for b, branch in enumerate(grown.branches):
             s, k = b // each, place * each + b % each
             at = saddles.lane[s], saddles.place[s], k
-            growth = grown.curves[0].growth[b] / (grown.curves[0].returns[b] / options.period)
-            multiplier[at] = np.exp(growth if kind == 0 else -growth)
+            of_turn = grown.curves[0].multiplier[b]
+            multiplier[at] = of_turn if kind == 0 else 1.0 / of_turn
             deviation[at] = grown.deviation[b]
             if branch is not None:
                 end[at] = branch.end
@@ -97,9 +102,9 @@ def _of_branches(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner,
     of = LANE, "saddle", "branch"
     return {
         **_named(batch, lanes, orbit, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
-        **_named(batch, lanes, points, (*of, "point"), "_points", "of the points of the branch"),
+        **_named(batch, lanes, points, (*of, "point"), "_points", "along the branch"),
         "arc_length": variable((*of, "point"), arc, f"arc length from the saddle, {_SIZES}"),
-        "multiplier": variable(of, multiplier, "modulus of the multiplier along the branch"),
+        "multiplier": variable(of, multiplier, "multiplier along the branch"),
         "end": flag(of, end, "how the branch ends", ENDS),
         "deviation": variable(
             of, deviation, f"largest distance of the branch from that of twice the steps and a shorter start, {_SIZES}"
@@ -192,9 +197,15 @@ def _named(
     return entries
 
 
-def table(data: Any, published: Any = None, source: str = "") -> Table:
+def _kinds(data: xr.Dataset) -> np.ndarray:
+    """Return the kinds of branches, which are the same in all lanes, (branch,)."""
+    kind = data["branch_kind"].transpose("branch", ...).to_numpy()
+    return kind.reshape(len(kind), -1)[:, 0]
+
+
+def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     """Return the ranges over lanes of arc lengths, deviations, crossings and tangencies."""
-    kind, lane_dims = data["branch_kind"].to_numpy(), [d for d in data["end"].dims if d != "branch"]
+    kind, lane_dims = _kinds(data), [d for d in data["end"].dims if d != "branch"]
     rows = [("saddles", range_in_words(data["saddles"].to_numpy().astype(float)))]
     for number in np.unique(kind).tolist():
         arc = data["arc_length"].isel(branch=kind == number).transpose(*lane_dims, "branch", "point").to_numpy()

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.branches import Grown, Side, curves_of
+from jaxnh.analyses.manifolds.branches import Grown, Side
 from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined, take
-from jaxnh.analyses.manifolds.curves import Branch, Curves, tangents
+from jaxnh.analyses.manifolds.curves import Branch, Curves, curves_of, tangents
 from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
 from jaxnh.systems.chart import Wrap
 
@@ -57,7 +57,6 @@ def near_tangencies(
     size: Float[np.ndarray, " 2"],
     wrap: Wrap,
     curves: tuple[Curves, Curves],
-    n: int,
 ) -> Meetings:
     """Return where tangents of two branches near each other are parallel, the nearest first, one of each orbit."""
     from scipy.spatial import cKDTree  # here, as it takes a tenth of a second to import
@@ -84,7 +83,7 @@ def near_tangencies(
             parts.append(Meetings(np.full(len(at), number), np.full(len(at), other_number), x, gap[at]))
     every = joined(parts)
     every = take(every, np.argsort(every.arc, kind="stable")[: 16 * _CANDIDATES])
-    return take(every, distinct_orbits(every, curves, n, _ALIKE)[:_CANDIDATES])
+    return take(every, distinct_orbits(every, curves, _ALIKE)[:_CANDIDATES])
 
 
 class _System(NamedTuple):
@@ -124,12 +123,13 @@ class _System(NamedTuple):
             row = np.arange(len(number)) * n + point
             germs = Germs(*(leaf[row] for leaf in germs))
             sign = np.sign(np.sum(germs.directions * self.directions[k][branch], axis=1))
-            curves = curves_of(strobe, p, germs._replace(directions=sign[:, None] * germs.directions), n, size)
-            fine = np.isfinite(curves.growth) & np.isfinite(z).all(axis=1)
+            germs = germs._replace(directions=sign[:, None] * germs.directions)
+            curves = curves_of(strobe, p, germs, n, size, again=bool(self.which))
+            fine = np.isfinite(curves.multiplier) & np.isfinite(z).all(axis=1)
             points, ways = np.full((2, len(number), 2), np.nan)
             places = np.flatnonzero(fine)
             if len(places):
-                points[fine], ways[fine] = tangents(self.lanes, curves, places, z[places, k], self.which)
+                points[fine], ways[fine] = tangents(self.lanes, curves, places, z[places, k])
             at.append((points, ways / size))
         gap = self.batch.chart.wrap(at[0][0] - at[1][0]) / size
         with np.errstate(divide="ignore", invalid="ignore"):
