@@ -247,7 +247,7 @@ class EventStrobe(ReturnMap):
     def _side(self, state: State, rate: Array) -> Array:
         """The side that a motion leaves for."""
         if self.backward:
-            return side_of_section(self.system, state, -rate, -self.step)
+            return side_of_section(self.system, state, -rate, -jnp.asarray(self.step))
         return side_of_section(self.system, state, rate, self.step)
 
     def _on_section(self, ahead: Carried, search: _Search, p: Parameters) -> tuple[Carried, tuple[Array, ...]]:

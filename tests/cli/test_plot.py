@@ -72,11 +72,13 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     groups = xr.open_datatree(path, engine="h5netcdf").children
     assert set(groups) == set(GROUPS) - set(OVER_TWO_AXES)
     kinds = {kind_of(describe(name, group.to_dataset())) for name, group in groups.items()}
-    assert kinds == set(PANELS) - set(OVER_TWO_AXES.values())
+    assert kinds - {""} == set(PANELS) - set(OVER_TWO_AXES.values())
     drawing = figures.figure(path)
-    # The portrait has a panel for each b, with the points of `poincare` in it; bifurcations are drawn on their branches.
-    assert len(drawing.axes) == 4 + len(groups) - len({"portrait", "poincare", "bifurcations"})
-    assert len(drawing.get_supxlabel().splitlines()) == 1  # nothing is left out
+    # Portraits and manifolds have a panel for each b, with the points of `poincare` in the former; bifurcations are drawn
+    # on their branches, and orbits not at all.
+    several = {"portrait", "manifolds", "poincare", "bifurcations", "orbits"}
+    assert len(drawing.axes) == 4 + 4 + len(groups) - len(several)
+    assert len(drawing.get_supxlabel().splitlines()) == 2  # one says that there is no picture of orbits
     for ax in drawing.axes[:4]:
         track, dots = ax.lines
         assert len(track.get_xdata()) == 4 * 16

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.curves import Branch, Curves, curves_of, distance_from, grow, positions
+from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, distance_from, grow, positions
 from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
 from jaxnh.maps.family import Maps, padded_like
 
@@ -29,7 +29,7 @@ class Side(NamedTuple):
     backward: bool
 
 
-class Grown(NamedTuple):
+class BranchSet(NamedTuple):
     """Branches of one kind, of all points of the saddles and both sides of each, in this order.
 
     Attributes:
@@ -39,7 +39,7 @@ class Grown(NamedTuple):
     """
 
     curves: tuple[Curves, Curves]
-    branches: list[Branch | None]
+    branches: list[ManifoldBranch | None]
     deviation: Float[np.ndarray, " branches"]
 
 
@@ -58,7 +58,7 @@ def grow_branches(
     length: float,
     spacing: float,
     most: int,
-) -> Grown:
+) -> BranchSet:
     """Return all branches of saddles, up to an arc length."""
     p, scale, wrap = parameters_of(batch, saddles.lane), size[saddles.lane], batch.chart.wrap
     germs = [find_germs(batch, lanes, of, p, saddles.points, scale, side.backward) for of in side.maps]
@@ -81,12 +81,12 @@ def grow_branches(
             branch = branches[b]
             assert branch is not None
             deviation[b] = distance_from(branch, part, curves.size[b], wrap)
-    return Grown((curves, fine), branches, deviation)
+    return BranchSet((curves, fine), branches, deviation)
 
 
 def has_branches(germs: Germs, n: int) -> Bool[np.ndarray, " orbits"]:
     """Return which orbits of n points have a manifold of one dimension."""
-    return np.isfinite(germs.multiplier).reshape(-1, n).all(axis=1)
+    return np.all(np.isfinite(germs.multiplier).reshape(-1, n), axis=1)
 
 
 def _both(germs: Germs) -> Germs:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneRunner
-from jaxnh.analyses.manifolds.curves import Branch, Curves, tangents
+from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, tangents
 from jaxnh.systems.chart import Wrap
 
 _BLOCK = 64  # segments of a curve whose box is looked at first
@@ -62,8 +62,8 @@ def joined(parts: Sequence[Meetings]) -> Meetings:
 
 
 def crossing_segments(
-    unstable: Sequence[tuple[int, Branch]],
-    stable: Sequence[tuple[int, Branch]],
+    unstable: Sequence[tuple[int, ManifoldBranch]],
+    stable: Sequence[tuple[int, ManifoldBranch]],
     size: Float[np.ndarray, " 2"],
     wrap: Wrap,
     angles: bool,
@@ -167,7 +167,8 @@ def _near_blocks(one: np.ndarray, other: np.ndarray, angles: bool) -> tuple[np.n
         return np.zeros(0, int), np.zeros(0, int)
     (low, high), (other_low, other_high) = (np.swapaxes(np.array(each), 0, 1) for each in boxes)
     overlap = (low[:, None] <= other_high[None]) & (other_low[None] <= high[:, None])
-    return np.nonzero(overlap.all(axis=2) | angles)
+    first, second = np.nonzero(np.all(overlap, axis=2) | angles)
+    return first, second
 
 
 def _between(values: Float[np.ndarray, " points"], segment: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -4,7 +4,8 @@ A branch is the curve x -> G^k(u ± δ m^τ v), k + τ = x, with G a turn of the
 multiplier, where this is negative with another sign for each turn, v the direction at the point u, and δ small: the
 images of a fundamental segment, one after the other (Hobson, J. Comput. Phys. 104 (1993) 14). Points are inserted
 between neighbours, as images of points of the first segment and not by interpolation, until distances and turns are
-small (Krauskopf and Osinga, J. Comput. Phys. 146 (1998) 404). A straight first segment is off by δ² across the manifold, which the images contract.
+small (Krauskopf and Osinga, J. Comput. Phys. 146 (1998) 404). A straight first segment is off by δ² across the
+manifold, which the images contract.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def curves_of(
     return Curves(strobe, p, germs.points, germs.directions, germs.multiplier, delta, earlier, returns, size)
 
 
-class Branch(NamedTuple):
+class ManifoldBranch(NamedTuple):
     """Points of one branch, the point of the orbit first.
 
     Attributes:
@@ -136,7 +137,7 @@ def _begin(
 
 def grow(
     lanes: LaneRunner, curves: Curves, wrap: Wrap, length: float, spacing: float, most: int
-) -> list[Branch | None]:
+) -> list[ManifoldBranch | None]:
     """Return the branches up to an arc length, in sizes; None where the manifold has not one dimension."""
     count = len(curves.growth)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -207,8 +208,8 @@ class _Growing:
 
     def _arc(self) -> tuple[Float[np.ndarray, " known"], Float[np.ndarray, "known d"]]:
         """Return arc lengths of the points before the first that is none, and chords between them, in sizes."""
-        finite = np.isfinite(self.u).all(axis=1)
-        known = len(finite) if finite.all() else int(np.argmin(finite))
+        bad = np.flatnonzero(~np.all(np.isfinite(self.u), axis=1))
+        known = int(bad[0]) if len(bad) else len(self.u)
         chord = self.wrap(np.diff(self.u[:known], axis=0)) / self.size if known > 1 else np.zeros((0, len(self.size)))
         begin = np.linalg.norm(self.wrap(self.u[:1] - self.start) / self.size) if known else 0.0
         return begin + np.concatenate([np.zeros(min(known, 1)), np.cumsum(np.linalg.norm(chord, axis=1))]), chord
@@ -225,17 +226,17 @@ class _Growing:
         bent = (turn * distance > _SAGITTA * self.spacing) | ((turn > _SHARP) & (distance > _SHORTEST * self.spacing))
         return (distance > self.spacing) | bent
 
-    def branch(self) -> Branch | None:
+    def branch(self) -> ManifoldBranch | None:
         """Return the points up to the length."""
         arc, _ = self._arc()
         if not len(arc):
             return None
         kept = min(int(np.searchsorted(arc, self.length)) + 1, len(arc), self.most - 1)
         x, u = np.insert(self.x[:kept], 0, -np.inf), np.insert(self.u[:kept], 0, self.start, axis=0)
-        return Branch(x, u, np.insert(arc[:kept], 0, 0.0), self.end)
+        return ManifoldBranch(x, u, np.insert(arc[:kept], 0, 0.0), self.end)
 
 
-def distance_from(branch: Branch, points: Float[np.ndarray, "points d"], size: np.ndarray, wrap: Wrap) -> float:
+def distance_from(branch: ManifoldBranch, points: Float[np.ndarray, "points d"], size: np.ndarray, wrap: Wrap) -> float:
     """Return the largest distance, in sizes, of points from the curve of a branch near its points beside them.
 
     What lies along the curve is no distance: where a point is on it depends on m and δ. The curve between points is a

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.branches import Grown, Side, grow_branches, has_branches, side_of
+from jaxnh.analyses.manifolds.branches import BranchSet, Side, grow_branches, has_branches, side_of
 from jaxnh.analyses.manifolds.crossings import (
     Crossings,
     Meetings,
@@ -23,7 +23,7 @@ from jaxnh.analyses.manifolds.crossings import (
     refine_crossings,
     take,
 )
-from jaxnh.analyses.manifolds.curves import Branch
+from jaxnh.analyses.manifolds.curves import ManifoldBranch
 from jaxnh.analyses.manifolds.saddles import Saddles, find_germs, find_orbits, parameters_of, take_orbits
 from jaxnh.analyses.manifolds.tables import OWN_NAMES, Manifolds, table, variables
 from jaxnh.analyses.manifolds.tangencies import Tangencies, locate_tangencies, near_tangencies, nearest_tangencies
@@ -123,7 +123,7 @@ def _check_inverse(
         raise OptionError("the map gives no inverse of itself: it does not take a point of an orbit back", "kind")
 
 
-def _of_lane(grown: Grown, saddles: Saddles, lane: int) -> list[tuple[int, Branch]]:
+def _of_lane(grown: BranchSet, saddles: Saddles, lane: int) -> list[tuple[int, ManifoldBranch]]:
     """Return the branches of a lane with their numbers."""
     each = len(grown.branches) // max(len(saddles.lane), 1)
     of = (b for s in np.flatnonzero(saddles.lane == lane) for b in range(each * s, each * (s + 1)))
@@ -131,8 +131,8 @@ def _of_lane(grown: Grown, saddles: Saddles, lane: int) -> list[tuple[int, Branc
 
 
 def _pairs_of_lane(
-    grown: tuple[Grown, Grown], saddles: Saddles, lane: int
-) -> tuple[list[tuple[int, Branch]], list[tuple[int, Branch]]]:
+    grown: tuple[BranchSet, BranchSet], saddles: Saddles, lane: int
+) -> tuple[list[tuple[int, ManifoldBranch]], list[tuple[int, ManifoldBranch]]]:
     """Return unstable and stable branches of a lane: of the first only those of the orbits' first points.
 
     Every homoclinic orbit has points on these.
@@ -151,7 +151,7 @@ def _crossings(
     lanes: LaneRunner,
     saddles: Saddles,
     size: Float[np.ndarray, "lanes 2"],
-    grown: tuple[Grown, Grown],
+    grown: tuple[BranchSet, BranchSet],
 ) -> tuple[Crossings, Float[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
     """Return the shortest crossings of each lane, in order of lanes, how far twice the steps move them, and lanes."""
     wrap, angles = batch.chart.wrap, any(batch.chart.angles)
@@ -181,7 +181,7 @@ def _tangencies(
     sides: tuple[Side, Side],
     saddles: Saddles,
     size: Float[np.ndarray, "lanes 2"],
-    grown: tuple[Grown, Grown],
+    grown: tuple[BranchSet, BranchSet],
 ) -> tuple[Tangencies, Int[np.ndarray, " tangencies"]]:
     """Return the nearest tangencies of each lane, in order of lanes, and their lanes."""
     if any(batch.chart.angles):
@@ -212,6 +212,6 @@ ANALYSIS = Analysis(
     check=check,
     table=table,
     price=price_of_orbits,
-    brief={"period": 1, "n_starts": 4, "length": 1.0, "max_points": 16, "crossings": 0},
+    brief={"period": 1, "n_starts": 4, "max_points": 16, "crossings": 0},
 )
 """The entry of this analysis in the table."""

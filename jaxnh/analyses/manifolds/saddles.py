@@ -62,7 +62,7 @@ def find_orbits(
     expands much from near by alone. Orbits with a point nearest to the middle come first. Sizes are half the extent of
     the starts in each section coordinate, of angles one.
     """
-    at_middle = {name: (0.5 * (low + high),) * 2 for name, (low, high) in box.items()}
+    at_middle = {name: (0.5 * (low + high), 0.5 * (low + high)) for name, (low, high) in box.items()}
     middle = first_points(random_start_batch(batch, 1, seed, at_middle)[0], lanes)
     many, _ = random_start_batch(batch, starts, seed, box)
     first = first_points(many, lanes).reshape(batch.count, starts, -1)
@@ -151,7 +151,7 @@ def parameters_of(batch: LaneBatch, lane: Int[np.ndarray, " some"]) -> dict[str,
 
 def _expanding(matrices: Float[np.ndarray, "n d d"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n d"]]:
     """Return the eigenvalue beyond the unit circle, and its vector, where there is one alone and it is real."""
-    finite = np.isfinite(matrices).all(axis=(1, 2))
+    finite = np.all(np.isfinite(matrices), axis=(1, 2))
     values, vectors = np.linalg.eig(np.where(finite[:, None, None], matrices, 0.0))
     outside = np.log(np.maximum(np.abs(values), 1e-300)) > _NEUTRAL
     one = finite & (np.sum(outside, axis=1) == 1)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.branches import SIDES, Grown
+from jaxnh.analyses.manifolds.branches import SIDES, BranchSet
 from jaxnh.analyses.manifolds.crossings import Crossings
 from jaxnh.analyses.manifolds.curves import ENDS
 from jaxnh.analyses.manifolds.saddles import Saddles
@@ -48,7 +48,7 @@ class Manifolds(NamedTuple):
 
     saddles: Saddles
     number: Int[np.ndarray, " lanes"]
-    grown: Mapping[int, Grown]
+    grown: Mapping[int, BranchSet]
     crossings: tuple[Crossings, Float[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]] | None
     tangencies: tuple[Tangencies, Int[np.ndarray, " tangencies"]] | None
 

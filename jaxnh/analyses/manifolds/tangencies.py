@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.branches import Grown, Side
+from jaxnh.analyses.manifolds.branches import BranchSet, Side
 from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined, take
-from jaxnh.analyses.manifolds.curves import Branch, Curves, curves_of, tangents
+from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, tangents
 from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
 from jaxnh.systems.chart import Wrap
 
@@ -52,14 +52,14 @@ class Tangencies(NamedTuple):
 
 
 def near_tangencies(
-    unstable: Sequence[tuple[int, Branch]],
-    stable: Sequence[tuple[int, Branch]],
+    unstable: Sequence[tuple[int, ManifoldBranch]],
+    stable: Sequence[tuple[int, ManifoldBranch]],
     size: Float[np.ndarray, " 2"],
     wrap: Wrap,
     curves: tuple[Curves, Curves],
 ) -> Meetings:
     """Return where tangents of two branches near each other are parallel, the nearest first, one of each orbit."""
-    from scipy.spatial import cKDTree  # here, as it takes a tenth of a second to import
+    from scipy.spatial import KDTree  # here, as it takes a tenth of a second to import
 
     parts = list[Meetings]()
     for number, one in unstable:
@@ -68,7 +68,7 @@ def near_tangencies(
                 continue
             middle, way = _segments(one, size, wrap)
             other_middle, other_way = _segments(other, size, wrap)
-            distance, near = cKDTree(other_middle).query(middle, distance_upper_bound=_FARTHEST)
+            distance, near = KDTree(other_middle).query(middle, distance_upper_bound=_FARTHEST)
             near = np.minimum(near, len(other_middle) - 1)
             sine = _cross(way, other_way[near])
             gap = np.abs(_cross(other_middle[near] - middle, other_way[near]))
@@ -112,13 +112,13 @@ class _System(NamedTuple):
 
         The rate is that in x of the unstable branch. Where this is a parabola in x, however sharp, it is linear.
         """
-        at = []
+        at, lane = [], self.saddles.lane[self.meetings.unstable[number] // (2 * self.saddles.points.shape[1])]
+        size = self.size[lane]
         for k, branches in enumerate((self.meetings.unstable, self.meetings.stable)):
             side, n = self.sides[k], self.saddles.points.shape[1]
             branch, strobe = branches[number], side.maps[self.which]
             saddle, point = branch // (2 * n), branch // 2 % n
-            p = {**parameters_of(self.batch, self.saddles.lane[saddle]), self.name: z[:, 2]}
-            size = self.size[self.saddles.lane[saddle]]
+            p = {**parameters_of(self.batch, lane), self.name: z[:, 2]}
             germs = find_germs(self.batch, self.lanes, strobe, p, self.saddles.points[saddle], size, side.backward)
             row = np.arange(len(number)) * n + point
             germs = Germs(*(leaf[row] for leaf in germs))
@@ -193,7 +193,7 @@ def locate_tangencies(
     sides: tuple[Side, Side],
     saddles: Saddles,
     size: Float[np.ndarray, "lanes d"],
-    grown: tuple[Grown, Grown],
+    grown: tuple[BranchSet, BranchSet],
     meetings: Meetings,
     name: str,
 ) -> Tangencies:
@@ -205,17 +205,17 @@ def locate_tangencies(
         meetings: the places.
         name: of the parameter.
     """
-    directions = tuple(of.curves[0].directions for of in grown)
+    directions = grown[0].curves[0].directions, grown[1].curves[0].directions
     saddle = meetings.unstable // (2 * saddles.points.shape[1])
     values = np.asarray(batch.p[name], float)[saddles.lane[saddle]]
     start, solved = np.concatenate([meetings.x, values[:, None]], axis=1), list[np.ndarray]()
     last = np.zeros(len(start))
     for which in (0, 1):
-        system = _System(batch, lanes, sides, saddles, size, name, which, meetings, directions)  # pyright: ignore[reportArgumentType]
-        known = np.isfinite(start).all(axis=1)
+        system = _System(batch, lanes, sides, saddles, size, name, which, meetings, directions)
+        known = np.flatnonzero(np.all(np.isfinite(start), axis=1))
         result = np.full_like(start, np.nan)
         part = system._replace(meetings=take(meetings, known))
-        if known.any():
+        if len(known):
             result[known], last[known] = part.solve(start[known])
         solved.append(result)
         start = result
@@ -234,7 +234,7 @@ def nearest_tangencies(of: Tangencies, value: float) -> Int[np.ndarray, " kept"]
     return np.array(kept[:KEPT], int)
 
 
-def _foot(branch: Branch, segment: np.ndarray, points: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _foot(branch: ManifoldBranch, segment: np.ndarray, points: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Return x of the points of segments of a branch nearest to some points, in sizes."""
     begin, end = branch.points[1:-1][segment] / size, branch.points[2:][segment] / size
     way = end - begin
@@ -242,7 +242,7 @@ def _foot(branch: Branch, segment: np.ndarray, points: np.ndarray, size: np.ndar
     return branch.x[1:-1][segment] + share * (branch.x[2:] - branch.x[1:-1])[segment]
 
 
-def _segments(branch: Branch, size: np.ndarray, wrap: Wrap) -> tuple[np.ndarray, np.ndarray]:
+def _segments(branch: ManifoldBranch, size: np.ndarray, wrap: Wrap) -> tuple[np.ndarray, np.ndarray]:
     """Return the middles and the directions of the segments of a branch, but for the first, in sizes."""
     way = wrap(np.diff(branch.points[1:], axis=0)) / size
     middle = branch.points[1:-1] / size + 0.5 * way
