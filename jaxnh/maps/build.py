@@ -363,7 +363,9 @@ def make_inverse_map(system: Flow | Section, solver: Solver, steps: int, *, comp
         TypeError: there is none: of a map that says none, of jumps and switches, of steps of a lane's own.
     """
     if isinstance(system, DiscreteMap):
-        return IterationStrobe(inverse_map(system))
+        if (inverse := inverse_map(system)) is None:
+            raise TypeError("the map says no inverse")
+        return IterationStrobe(inverse)
     if isinstance(system.flow, PiecewiseSmooth):
         raise TypeError("motions with jumps or switches are not followed backwards")
     if isinstance(solver, AdaptiveMethod):

@@ -58,14 +58,10 @@ class InverseMap(DiscreteMap):
         return point_like(inverse(tuple(y.y)), y)
 
 
-def inverse_map(system: DiscreteMap) -> InverseMap:
-    """The inverse of a map.
-
-    Raises:
-        TypeError: its definition has none.
-    """
+def inverse_map(system: DiscreteMap) -> InverseMap | None:
+    """The inverse of a map; None where its definition has none."""
     if "inverse" not in system.definition({}):
-        raise TypeError("the map says no inverse")
+        return None
     return InverseMap(system.define, system.values, system.of_lanes, system.names, system.angles, system.clock)
 
 

@@ -74,10 +74,10 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     kinds = {kind_of(describe(name, group.to_dataset())) for name, group in groups.items()}
     assert kinds - {""} == set(PANELS) - set(OVER_TWO_AXES.values())
     drawing = figures.figure(path)
-    # Portraits and manifolds have a panel for each b, with the points of `poincare` in the former; bifurcations are drawn
+    # Portraits, manifolds and tori have a panel for each b, with the points of `poincare` in the former; bifurcations are drawn
     # on their branches, and orbits not at all.
-    several = {"portrait", "manifolds", "poincare", "bifurcations", "orbits"}
-    assert len(drawing.axes) == 4 + 4 + len(groups) - len(several)
+    several = {"portrait", "manifolds", "tori", "poincare", "bifurcations", "orbits"}
+    assert len(drawing.axes) == 3 * 4 + len(groups) - len(several)
     assert len(drawing.get_supxlabel().splitlines()) == 2  # one says that there is no picture of orbits
     for ax in drawing.axes[:4]:
         track, dots = ax.lines

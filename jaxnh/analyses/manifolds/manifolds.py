@@ -162,13 +162,13 @@ def _crossings(
         ]
     )
     coarse, fine = ((grown[0].curves[k], grown[1].curves[k]) for k in (0, 1))
-    found = refine_crossings(lanes, coarse, seen, wrap)
-    good = np.flatnonzero(np.isfinite(found.angle))
-    good = good[distinct_orbits(take(found.meetings, good), coarse)]
-    lane = _lane_of(take(found.meetings, good), saddles, options.period)
+    refined = refine_crossings(lanes, coarse, seen, wrap)
+    good = np.flatnonzero(np.isfinite(refined.angle))
+    good = good[distinct_orbits(take(refined.meetings, good), coarse)]
+    lane = _lane_of(take(refined.meetings, good), saddles, options.period)
     place = np.arange(len(lane)) - np.searchsorted(lane, lane)
     good, lane = good[place < options.crossings], lane[place < options.crossings]
-    kept = Crossings(take(found.meetings, good), found.points[good], found.angle[good])
+    kept = Crossings(take(refined.meetings, good), refined.points[good], refined.angle[good])
     again = refine_crossings(lanes, fine, kept.meetings, wrap)
     deviation = np.linalg.norm(wrap(again.points - kept.points) / size[lane], axis=1)
     return kept, deviation, lane
