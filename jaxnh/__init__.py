@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import DiagramOptions as Diagram
     from jaxnh.analyses.options import DoublingOptions as Doubling
     from jaxnh.analyses.options import LyapunovOptions as Lyapunov
+    from jaxnh.analyses.options import ManifoldsOptions as Manifolds
     from jaxnh.analyses.options import OrbitsOptions as Orbits
     from jaxnh.analyses.options import PeriodOptions as Period
     from jaxnh.analyses.options import PoincareOptions as Poincare
@@ -135,6 +136,7 @@ __all__ = [
     "Lagrangian",
     "LostLaneError",
     "Lyapunov",
+    "Manifolds",
     "Orbits",
     "Period",
     "Poincare",

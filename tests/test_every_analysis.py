@@ -61,7 +61,16 @@ OPTIONS = {
     "rotation": {"transient": 64, "periods": 128},
     "tori": {"transient": 64, "periods": 128},
     "transport": {"transient": 1024, "periods": 2048, "path": ("u",)},
+    "manifolds": {
+        "box": {"u": (-0.5, 0.5)},
+        "n_starts": 4,
+        "length": 0.2,
+        "spacing": 0.05,
+        "max_points": 64,
+        "crossings": 0,
+    },
 }
+UNSTABLE_ALONE = {"manifolds": OPTIONS["manifolds"] | {"kind": "unstable"}}
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -80,10 +89,11 @@ def lowered_for_cuda_too():
 
 
 def starts_between(name, low, high):
-    """Options of `transients` in a range of another coordinate, and of `transport` along it."""
+    """Options of `transients` and `manifolds` in a range of another coordinate, and of `transport` along it."""
     return {
         "transients": OPTIONS["transients"] | {"box": {name: (low, high)}, "region": {name: (-9.0, 9.0)}},
         "transport": OPTIONS["transport"] | {"path": (name,)},
+        "manifolds": OPTIONS["manifolds"] | {"box": {name: (low, high)}},
     }
 
 
@@ -276,6 +286,38 @@ def orbits_beside(expected):
     return check
 
 
+def saddles(expected):
+    """One saddle where there is one, with these multipliers along its unstable and its stable manifold."""
+
+    def check(data, groups):
+        manifolds_of_saddles(data, groups)
+        number, multiplier, values = lanes_of(data, "saddles", "multiplier")
+        multiplier = np.abs(multiplier)
+        exact = np.stack(np.broadcast_arrays(*expected(values)), axis=-1)
+        assert number.tolist() == np.isfinite(exact[:, 0]).astype(int).tolist()
+        kinds = lanes_of(data, "branch_kind")[0]
+        assert (
+            np.abs(multiplier[:, 0] / np.take_along_axis(exact, kinds.astype(int), axis=1) - 1.0)[number > 0].max(
+                initial=0.0
+            )
+            < 100 * CLOSE
+        )
+
+    return check
+
+
+def manifolds_of_saddles(data, _):
+    """Unstable branches grow and stable ones shrink; finer steps move them by little, and so does a shorter start."""
+    multiplier, deviation, kind, _ = lanes_of(data, "multiplier", "deviation", "branch_kind")
+    known, unstable = np.isfinite(multiplier), np.broadcast_to(kind[:, None] == 0, multiplier.shape)
+    assert np.all((np.abs(multiplier) > 1.0)[known] == unstable[known])
+    assert np.nanmax(deviation, initial=0.0) < 100 * CLOSE
+
+
+def no_saddle(data, _):
+    assert not lanes_of(data, "saddles")[0].any()
+
+
 def nothing_leaves(data, _):
     """All motions stay around the attractor, and the rate is zero, with an interval that begins there."""
     life, escaped, rate, low, high, _ = lanes_of(
@@ -421,6 +463,12 @@ def moebius_periods(values):
     return np.where(beyond(values) > 0, 2, 1)
 
 
+def moebius_saddle(values):
+    """Multipliers of the orbit of period 1 beyond its doubling, in modulus."""
+    growth = np.exp(TURN * beyond(values))
+    return np.where(growth > 1.0, growth, np.nan), np.exp(-TURN) * np.ones_like(growth)
+
+
 def zero(data=None):
     return 0.0
 
@@ -455,6 +503,7 @@ MOEBIUS = {
     "rotation": rotation(moebius_periods),
     "tori": words("none"),
     "transport": stays,
+    "manifolds": saddles(moebius_saddle),
 }
 IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
@@ -507,6 +556,7 @@ def particle(names, rates=paper_equations.at_speed):
         "rotation": rotation(lambda values: np.where(values["b"] > first_doubling(), 1, 2)),
         "tori": words("none"),
         "transport": stays,
+        "manifolds": manifolds_of_saddles,
     }
 
 
@@ -523,12 +573,17 @@ KINDS = {
             "reversal": "a map is not followed backwards",
             "lyapunov": exponents(cubic_exponents),
             "covariant": exponents(cubic_exponents),
+            "manifolds": saddles(lambda values: (np.where(values["mu"] > 0, 1 + values["mu"], np.nan), np.nan)),
         },
         known_maps.CUBIC,
+        UNSTABLE_ALONE,
     ),
     "steps of a lane's own": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 160}",
-        MOEBIUS | {"reversal": "the flow takes steps of a lane's own (rodas5p), which go forward alone"},
+        MOEBIUS
+        | dict.fromkeys(
+            ("reversal", "manifolds"), "the flow takes steps of a lane's own (rodas5p), which go forward alone"
+        ),
         moebius.MOEBIUS,
     ),
     "a right-hand side with jumps": Kind(
@@ -539,6 +594,7 @@ KINDS = {
         )
         | {"reversal": "motions with jumps or switches are not followed backwards"},
         moebius.MOEBIUS_WITH_JUMPS,
+        UNSTABLE_ALONE,
     ),
     "two axes": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
@@ -578,7 +634,9 @@ KINDS = {
             "lyapunov": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
             "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
             "covariant": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
-            "transients": "random starts and the axis u of start states exclude each other",
+            **dict.fromkeys(
+                ("transients", "manifolds"), "random starts and the axis u of start states exclude each other"
+            ),
             "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
             "windows": "u is a coordinate of the start state",
             "branches": "u is a coordinate of the start state",
@@ -605,6 +663,7 @@ KINDS = {
         | {
             "verdict": words("limit_cycle"),
             "reversal": "motions with jumps or switches are not followed backwards",
+            "manifolds": "motions with jumps or switches are not followed backwards; stable manifolds need that",
         },
         moebius.MOEBIUS_WITH_JUMPS_IN_TIME,
     ),
@@ -640,6 +699,7 @@ KINDS = {
             "rotation": rotation(),
             "tori": words("none"),
             "transport": stays,
+            "manifolds": no_saddle,
         },
         constrained_oscillators.SLIDE,
         starts_between("x", -0.5, 0.5),
@@ -674,6 +734,7 @@ KINDS = {
             "rotation": rotation(),
             "tori": words("none"),
             "transport": stays,
+            "manifolds": no_saddle,
         },
         constrained_oscillators.NEEDLE,
         starts_between("w", -0.1, 0.1),
@@ -686,6 +747,7 @@ KINDS = {
             "lyapunov": clamped_exponents,
             "covariant": words("regular", "undecided"),
             "reversal": "motions with jumps or switches are not followed backwards",
+            "manifolds": "motions with jumps or switches are not followed backwards; stable manifolds need that",
         },
         constrained_oscillators.CLAMPED,
         starts_between("x", -0.5, 0.5),
@@ -713,6 +775,7 @@ KINDS = {
             "rotation": rotation(),
             "tori": "a curve on a map of one direction has nothing normal to it",
             "transport": stays,
+            "manifolds": "manifolds are curves among other directions of the map, and it has one alone",
         },
         constrained_oscillators.CYCLE,
         {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}}
@@ -743,6 +806,7 @@ KINDS = {
             "rotation": rotation(),
             "tori": words("none"),
             "transport": stays,
+            "manifolds": manifolds_of_saddles,
         },
         options=starts_between("x1", -0.2, 0.2),
     ),
@@ -773,6 +837,7 @@ KINDS = {
             "rotation": words("unconverged", "no_rotation", "unlocked"),
             "tori": words("none", "neutral", "undecided"),
             "transport": wanders,
+            "manifolds": manifolds_of_saddles,
         },
         options={"doubling": {"levels": 1, "search": False}} | starts_between("x1", 0.0, 0.2),
     ),

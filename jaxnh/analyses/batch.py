@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.maps.build import make_return_map
+from jaxnh.maps.build import make_inverse_map, make_return_map
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import System
@@ -161,6 +161,24 @@ class LaneBatch:
         steps = round(self.steps * refinement)
         strobe = make_return_map(self.system, self.solver, steps, compensated=self.compensated)
         return in_precision(strobe, self.precision)
+
+    def inverse(self, refinement: float = 1) -> Maps:
+        """Return the inverse of P, with `refinement` times the steps; for a family one for each value.
+
+        Raises:
+            TypeError: motions are not followed backwards, or a map says no inverse.
+        """
+        if (family := self.family) is not None:
+            key = "inverse", refinement
+            return family.maps(self.system, key, lambda tree: self.with_system(tree).inverse_of_lanes(refinement))
+        return self.inverse_of_lanes(refinement)
+
+    def inverse_of_lanes(self, refinement: float = 1) -> ReturnMap:
+        """Return the inverse of P for lanes with one system, with `refinement` times the steps."""
+        steps = round(self.steps * refinement)
+        return in_precision(
+            make_inverse_map(self.system, self.solver, steps, compensated=self.compensated), self.precision
+        )
 
 
 def select(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:

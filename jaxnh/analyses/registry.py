@@ -7,6 +7,7 @@ from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.continuation import branches, curves
 from jaxnh.analyses.covariant import covariant
 from jaxnh.analyses.exponents import lyapunov
+from jaxnh.analyses.manifolds import manifolds
 from jaxnh.analyses.orbits import orbits
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.reversal import reversal
@@ -37,6 +38,7 @@ _MODULES = (
     rotation,
     tori,
     transport,
+    manifolds,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}

@@ -7,6 +7,7 @@ at the end says which flows have a way of their own; all others go by Runge–Ku
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, ClassVar, Protocol
 
 import jax
@@ -38,7 +39,7 @@ from jaxnh.solvers import (
     tsitouras_papakostas8,
     verner9,
 )
-from jaxnh.systems.discrete_map import DiscreteMap
+from jaxnh.systems.discrete_map import DiscreteMap, inverse_map
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
@@ -350,6 +351,31 @@ def backward_parts(
     ends = step_grid(system, each * parts, (begin, begin - system.period))
     grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
     return scheme_of(system, solver).parts(system, solver, each, grid, ends[::each], compensated=compensated)
+
+
+_OPPOSITE = {"up": "down", "down": "up", "both": "both"}
+
+
+def make_inverse_map(system: Flow | Section, solver: Solver, steps: int, *, compensated: bool = False) -> ReturnMap:
+    """The inverse of `make_return_map`: of a flow by as many steps back in time, of a map its own.
+
+    Raises:
+        TypeError: there is none: of a map that says none, of jumps and switches, of steps of a lane's own.
+    """
+    if isinstance(system, DiscreteMap):
+        if (inverse := inverse_map(system)) is None:
+            raise TypeError("the map says no inverse")
+        return IterationStrobe(inverse)
+    if isinstance(system.flow, PiecewiseSmooth):
+        raise TypeError("motions with jumps or switches are not followed backwards")
+    if isinstance(solver, AdaptiveMethod):
+        raise TypeError(f"the flow takes steps of a lane's own ({solver.name}), which go forward alone")
+    if isinstance(system, Section):
+        met = replace(system, direction=_OPPOSITE[system.direction])
+        step, most = -system.flow.period / steps, math.ceil(system.longest * steps)
+        return EventStrobe(met, _unit_step(system.flow, solver), step, np.int32(most), backward=True)
+    parts = backward_parts(system, solver, steps, 1, system.period, compensated=compensated)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], parts)
 
 
 def _adaptive(

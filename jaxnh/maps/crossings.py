@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -118,12 +119,14 @@ class EventStrobe(ReturnMap):
         unit: the map of one step as long as the unit of time.
         step: length of a step.
         most_steps: without a crossing in so many a lane has failed.
+        backward: whether steps are of negative length, and the section is met in the direction opposite to its own.
     """
 
     system: Section
     unit: ReturnMap
     step: ArrayLike
     most_steps: ArrayLike
+    backward: bool = eqx.field(static=True, default=False)
 
     @property
     def most_lanes(self) -> int | None:
@@ -186,7 +189,7 @@ class EventStrobe(ReturnMap):
             by_tangent=by_tangent,
             left=jnp.asarray(n, jnp.int32),
             leaving=rate,
-            side=side_of_section(self.system, state, rate, self.step),
+            side=self._side(state, rate),
             steps=none,
             share=zero + 1.0,
             low=zero,
@@ -231,9 +234,7 @@ class EventStrobe(ReturnMap):
             by_tangent=tuple(jnp.where(arrived, x + dt, x) for x, dt in zip(search.by_tangent, later, strict=True)),
             left=jnp.where(arrived & finite, search.left - 1, search.left),
             leaving=jnp.where(arrived, rate, search.leaving),
-            side=jnp.where(
-                arrived, side_of_section(self.system, after, rate, self.step), jnp.where(onwards, side, search.side)
-            ),
+            side=jnp.where(arrived, self._side(after, rate), jnp.where(onwards, side, search.side)),
             steps=jnp.where(arrived, 0, jnp.where(onwards, search.steps + 1, search.steps)),
             share=jnp.where(moved, 1.0, jnp.where(seen, guess, better)),
             low=jnp.where(seen, low, bracket[0]),
@@ -242,6 +243,12 @@ class EventStrobe(ReturnMap):
             settled=~seeking & ~arrived & near,
             lost=moved & ~finite,
         )
+
+    def _side(self, state: State, rate: Array) -> Array:
+        """The side that a motion leaves for."""
+        if self.backward:
+            return side_of_section(self.system, state, -rate, -jnp.asarray(self.step))
+        return side_of_section(self.system, state, rate, self.step)
 
     def _on_section(self, ahead: Carried, search: _Search, p: Parameters) -> tuple[Carried, tuple[Array, ...]]:
         """State and tangents moved along the flow onto the section, and how much later each arrives."""

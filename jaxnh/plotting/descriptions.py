@@ -108,6 +108,14 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         lambda _: _Description("curves", ("number",), ("n",), "periodic orbits", "none"),
     ),
     "orbits": (("met",), None),
+    "manifolds": (
+        ("branch_kind",),
+        lambda data: _Description(
+            "manifolds",
+            [name for name in _over(data, "point") if name.endswith("_points")][:2],
+            ("saddle", "branch", "point"),
+        ),
+    ),
     "covariant": (
         ("angle_min", "tangency"),
         lambda _: _Description("curves", ("angle_min",), ("split",), "smallest angle", "0"),

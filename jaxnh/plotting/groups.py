@@ -147,11 +147,11 @@ def at_place(data: xr.Dataset, place: Mapping[str, int]) -> xr.Dataset:
 
 def same_plane(points: xr.Dataset, trajectories: xr.Dataset) -> bool:
     """Return whether points are to be drawn over trajectories: of the same lanes, and in the same plane."""
-    axes = axes_of(points)
-    return (
-        "section" not in points.attrs
-        and axes == axes_of(trajectories)
-        and all(points[name].equals(trajectories[name]) for name in axes)
-        and [variable.name for variable in variables_of(points)]
-        == [variable.name for variable in variables_of(trajectories)]
-    )
+    names = [[variable.name for variable in variables_of(each)] for each in (points, trajectories)]
+    return "section" not in points.attrs and same_lanes(points, trajectories) and names[0] == names[1]
+
+
+def same_lanes(one: xr.Dataset, other: xr.Dataset) -> bool:
+    """Return whether two groups are of the same lanes."""
+    axes = axes_of(one)
+    return axes == axes_of(other) and all(one[name].equals(other[name]) for name in axes)

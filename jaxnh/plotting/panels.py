@@ -17,6 +17,7 @@ from jaxnh.plotting.curves import curves, flags, integers
 from jaxnh.plotting.density import density
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import kind_of
+from jaxnh.plotting.manifolds import manifolds
 from jaxnh.plotting.pixels import Colourer, Pixels, flag_pixels, integer_pixels, number_pixels
 from jaxnh.plotting.planes import points, trajectories
 from jaxnh.plotting.windows import windows
@@ -45,6 +46,7 @@ class Kind(NamedTuple):
 PANELS: Mapping[str, Kind] = {
     "trajectories": Kind(trajectories, 2.9, "lane"),
     "points": Kind(points, 2.9, "lane"),
+    "manifolds": Kind(manifolds, 2.9, "lane"),
     "density": Kind(density, 3.2, "point"),
     "cascade": Kind(cascade, 2.1, "group"),
     "curves": Kind(curves, 2.7, "point", numbers_chart, pixels=number_pixels),

@@ -31,11 +31,11 @@ def trajectories(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0, ove
         ResultError: the group does not name two variables that it has.
     """
     ax = new_axes(ax)
-    x, y = _coordinates(lane_of(data, lane))
+    x, y = plane_coordinates(lane_of(data, lane))
     ax.plot(x.to_numpy().ravel(), y.to_numpy().ravel(), color=LINE, linewidth=0.4, zorder=1)
     for group in over:
-        _points(lane_of(group, lane), ax)
-    return _plane(data, lane, ax)
+        draw_points(lane_of(group, lane), ax)
+    return finish_plane(data, lane, ax)
 
 
 def points(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes:
@@ -49,8 +49,8 @@ def points(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes:
         ResultError: the group does not name two variables that it has.
     """
     ax = new_axes(ax)
-    _points(lane_of(data, lane), ax)
-    return _plane(data, lane, ax)
+    draw_points(lane_of(data, lane), ax)
+    return finish_plane(data, lane, ax)
 
 
 def draw_lanes(
@@ -79,34 +79,40 @@ def draw_lanes(
         own = colours.values.isel({name: int(i) for name, i in place.items() if name in colours.values.dims})
         colour = colours.colour(float(own.to_numpy().ravel()[0]))
         if kind_of(data) == "trajectories":
-            x, y = _coordinates(lane_of(data, lane))
+            x, y = plane_coordinates(lane_of(data, lane))
             ax.plot(x.to_numpy().ravel(), y.to_numpy().ravel(), color=colour, linewidth=0.4, zorder=1)
         else:
-            _points(lane_of(data, lane), ax, colour)
+            draw_points(lane_of(data, lane), ax, colour)
         for group in over:
-            _points(lane_of(group, lane), ax, colour)
-    x, y = _coordinates(data)
+            draw_points(lane_of(group, lane), ax, colour)
+    x, y = plane_coordinates(data)
     ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
     colours.explain(ax)
     return ax
 
 
-def _coordinates(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
+def plane_coordinates(data: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return the two variables that a plane is of.
+
+    Raises:
+        ResultError: the group does not name two that it has.
+    """
     variables = variables_of(data)
     if len(variables) != 2:
         raise ResultError(f"a plane has two coordinates, and panel_variables names {len(variables)}")
     return variables[0], variables[1]
 
 
-def _points(data: xr.Dataset, ax: Axes, colour: Colour = POINT) -> None:
-    """Points of one lane, large where few differ."""
-    plane = np.column_stack([variable.to_numpy().ravel() for variable in _coordinates(data)])
+def draw_points(data: xr.Dataset, ax: Axes, colour: Colour = POINT) -> None:
+    """Draw the points of one lane, large where few differ."""
+    plane = np.column_stack([variable.to_numpy().ravel() for variable in plane_coordinates(data)])
     few = len(np.unique(plane.round(4), axis=0)) <= _DISTINCT
     ax.plot(*plane.T, "o", color=colour, markersize=3.5 if few else 1.0, markeredgewidth=0, zorder=2)
 
 
-def _plane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:
-    x, y = _coordinates(data)
+def finish_plane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:
+    """Label the axes of a panel of one lane, and name its values above."""
+    x, y = plane_coordinates(data)
     ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
     letter = f"({_LETTERS[lane]}) " if lane_count(data) <= len(_LETTERS) else ""
     ax.set_title(letter + title_of(lane_of(data, lane), axes_of(data)))

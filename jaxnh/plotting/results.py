@@ -29,6 +29,7 @@ from jaxnh.plotting.groups import (
     long_axes,
     other_axes,
     places_of,
+    same_lanes,
     same_plane,
     variables_of,
     with_variables,
@@ -236,6 +237,8 @@ def _of_lanes(
     over = {}
     if kind is PANELS["trajectories"]:
         over["over"] = [other for other in _of_kind("points", groups) if same_plane(other, data)]
+    if kind is PANELS["manifolds"]:
+        over["over"] = [other for other in _of_kind("points", groups) if same_lanes(other, data)]
     count, axes = lane_count(data), axes_of(data)
     most = _MOST_TOGETHER if choice.colour else _MOST_LANES
     lanes = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()

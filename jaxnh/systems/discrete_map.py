@@ -12,6 +12,7 @@ from jaxnh.systems.definition import Definition, marked
 from jaxnh.systems.first_order import Point, PointFlow, point_like
 from jaxnh.systems.flow import Labels, Parameters
 from jaxnh.systems.state import Number
+from jaxnh.systems.user_functions import components_of, pointwise
 
 
 class DiscreteMap(PointFlow):
@@ -48,6 +49,22 @@ class DiscreteMap(PointFlow):
         return jnp.log(jnp.abs(jnp.linalg.det(jacobian)))
 
 
+class InverseMap(DiscreteMap):
+    """The inverse of a map, its definition's `inverse`."""
+
+    def image(self, y: Point, p: Parameters) -> Point:
+        """The iterate before."""
+        inverse = pointwise(components_of(self.definition(p)["inverse"]))
+        return point_like(inverse(tuple(y.y)), y)
+
+
+def inverse_map(system: DiscreteMap) -> InverseMap | None:
+    """The inverse of a map; None where its definition has none."""
+    if "inverse" not in system.definition({}):
+        return None
+    return InverseMap(system.define, system.values, system.of_lanes, system.names, system.angles, system.clock)
+
+
 def discrete_map(
     define: Callable[..., Definition], parameters: Mapping[str, float], of_lanes: tuple[str, ...] | None = None
 ) -> DiscreteMap:
@@ -56,7 +73,7 @@ def discrete_map(
     Args:
         define: parameters by name to a mapping with `map`, a function of y, a tuple of d numbers, to d numbers, the
             next iterate; `coordinates`, their d names; and where there are some, names of coordinates that are
-            `angles`.
+            `angles`, and `inverse`, a function of the next iterate to y.
         parameters: values of all parameters.
         of_lanes: names of those that lanes may have of their own, by default all.
     """

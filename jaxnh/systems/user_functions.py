@@ -26,7 +26,13 @@ EVENTS = {"jumps": ("when", "direction", "then"), "switches": ("on",)}
 _FLAGS = {"jumps": "rest", "switches": "sliding"}
 """A key more of these, True or False: whether motions may rest on a wall, or slide along a surface."""
 
-_ARGUMENTS = {"map": "(y)", "rhs": "(y, t)", "rates": "(q, u, t)", **dict.fromkeys("TQf", "(q, v, t)")}
+_ARGUMENTS = {
+    "map": "(y)",
+    "inverse": "(y)",
+    "rhs": "(y, t)",
+    "rates": "(q, u, t)",
+    **dict.fromkeys("TQf", "(q, v, t)"),
+}
 
 _EXAMPLES = {
     "jumps": 'jumps=[{"when": wall, "direction": "up", "then": bounce}]',

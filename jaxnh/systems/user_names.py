@@ -20,7 +20,7 @@ CLOCKS = ("period", "time_unit")
 _OF_ALL = ("coordinates", "angles", "labels", "units", "reversal")
 _FIRST_ORDER = ("rhs", *EVENTS, *CLOCKS, *_OF_ALL)
 _MECHANICS = ("T", "Q", "f", "ignorable", "integrals", "outputs", *EVENTS, *KEYS, *CLOCKS, *_OF_ALL)
-_MAP = ("map", *_OF_ALL[:-1])
+_MAP = ("map", "inverse", *_OF_ALL[:-1])
 _OWN_KEYS = {"map": _MAP, "rhs": _FIRST_ORDER}  # of a system that returns one of these
 _AS_IN = {"labels": "displacement", "units": "m"}
 

@@ -25,6 +25,7 @@ from tests.helpers.batches import batch_of
 START = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
 B = np.linspace(5.6, 5.4, 64)
 STEPS = SPLITTINGS["blanes_moan6"], 60
+IN_A_BOX = ("transients", "manifolds")  # whose starts need one
 
 
 def own(scene, **p):
@@ -101,7 +102,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
     scene = dataclasses.replace(batch_of(constant_speed(), START, B[:3], *STEPS), chosen={"lyapunov": {"parts": 4}})
 
     def run(analysis, brief):
-        given = {**brief, "box": {"x1": (-0.5, 0.5)}} if analysis.name == "transients" else brief
+        given = {**brief, "box": {"x1": (-0.5, 0.5)}} if analysis.name in IN_A_BOX else brief
         options = analysis.options(**{k: v for k, v in given.items() if k in analysis.options.model_fields})
         needed = (
             ({need: run(ANALYSES[need], ANALYSES[need].brief) for need in analysis.options.needs},)
@@ -184,14 +185,14 @@ def test_what_a_section_has_no_place_for(name, options, key):
 
 
 def test_defaults_go_with_everything_along_a_parameter():
-    """No default is refused, but that transients name no box: three exponents are cut down to those that there are."""
+    """No default is refused, but that transients and manifolds name no box: three exponents are cut down to those that there are."""
     for flow in (constant_speed(), free_particle(0.5, None, 1.0)):
         setting = Setting(flow, False, (LANES_B, SHARED), "float64", functools.partial(_same, flow))
         for analysis in ANALYSES.values():
             # Branches and windows are along one axis, curves over two that lanes may differ in.
             along = {"branches": (LANES_B,), "windows": (LANES_B,), "curves": (LANES_B, LANES_A)}
             axes = along.get(analysis.name, setting.axes)
-            if analysis.name != "transients":
+            if analysis.name not in IN_A_BOX:
                 analysis.check(analysis.options(), setting._replace(axes=axes))
 
 

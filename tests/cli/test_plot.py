@@ -42,6 +42,7 @@ analyses:
   branches: {max_period: 1, transient: 30, ds_max: 0.1}
   windows: {max_period: 1, transient: 30, levels: 0, crisis: 0}
   transients: {n_starts: 16, box: {x1: [-0.1, 0.1]}, max_periods: 16}
+  manifolds: {n_starts: 2, box: {x1: [-0.1, 0.1]}, length: 0.1, kind: unstable}
 """
 OVER_TWO_AXES = {"curves": "bifurcation_curves", "codimension_two": "special_points"}
 """Groups of analyses that need two, and their panels."""
@@ -73,10 +74,10 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     kinds = {kind_of(describe(name, group.to_dataset())) for name, group in groups.items()}
     assert kinds - {""} == set(PANELS) - set(OVER_TWO_AXES.values())
     drawing = figures.figure(path)
-    # Portraits and tori have a panel for each b, with the points of `poincare` in the former; bifurcations are drawn on
-    # their branches, and orbits not at all.
-    several = {"portrait", "tori", "poincare", "bifurcations", "orbits"}
-    assert len(drawing.axes) == 2 * 4 + len(groups) - len(several)
+    # Portraits, manifolds and tori have a panel for each b, with the points of `poincare` in the first; bifurcations are
+    # drawn on their branches, and orbits not at all.
+    several = {"portrait", "manifolds", "tori", "poincare", "bifurcations", "orbits"}
+    assert len(drawing.axes) == 3 * 4 + len(groups) - len(several)
     assert len(drawing.get_supxlabel().splitlines()) == 2  # one says that there is no picture of orbits
     for ax in drawing.axes[:4]:
         track, dots = ax.lines

@@ -16,6 +16,7 @@ from jaxnh.analyses.options.orbits import (
     BranchesOptions,
     CurvesOptions,
     DoublingOptions,
+    ManifoldsOptions,
     OrbitsOptions,
     PeriodOptions,
     WindowsOptions,
@@ -49,6 +50,7 @@ OPTIONS: dict[str, type[Options]] = {
         RotationOptions,
         ToriOptions,
         TransportOptions,
+        ManifoldsOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

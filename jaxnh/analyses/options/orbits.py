@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -151,4 +151,42 @@ class OrbitsOptions(Options):
     @model_validator(mode="after")
     def _check(self) -> OrbitsOptions:
         check_random_starts(self.box, self.n_starts, "seed" in self.model_fields_set)
+        return self
+
+
+class ManifoldsOptions(Options):
+    """Options of `manifolds`."""
+
+    newton: ClassVar[bool] = True
+
+    period: int = Field(default=1, ge=1, le=64, description="Returns of the saddle orbits")
+    n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles in each lane")
+    seed: int = Field(default=0, ge=0, description="Seed of the random starts")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
+    )
+    saddles: int = Field(
+        default=1,
+        ge=1,
+        le=64,
+        description="Saddle orbits of a lane that are kept: those nearest to the middle of the box",
+    )
+    kind: Literal["both", "unstable", "stable"] = Field(default="both", description="Manifolds that are grown")
+    length: float = Field(default=10.0, gt=0, description="Arc length of a branch, in halves of the box")
+    spacing: float = Field(
+        default=0.02, gt=0, le=1, description="Largest distance of neighbouring points, in halves of the box"
+    )
+    max_points: int = Field(default=2048, ge=16, description="Points of a branch, at most")
+    crossings: int = Field(
+        default=16, ge=0, description="Homoclinic and heteroclinic orbits of a lane that are kept, shortest first"
+    )
+    tangency: str | None = Field(
+        default=None, description="Parameter along which tangencies of the manifolds are located; nothing: none are"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> ManifoldsOptions:
+        check_sides(self.box)
+        if self.kind != "both" and self.tangency is not None:
+            raise rule("tangencies are of stable and unstable manifolds: take kind: both", "tangency", "kind")
         return self

@@ -1,0 +1,95 @@
+"""Branches of one kind, unstable or stable, of the saddles of all lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, distance_from, grow, positions
+from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
+from jaxnh.maps.family import Maps, padded_like
+
+SIDES = (1.0, -1.0)
+"""Signs of the direction that the two branches of a germ begin in."""
+
+
+class Side(NamedTuple):
+    """The maps of one kind of manifolds.
+
+    Attributes:
+        maps: with the steps that the accuracy asks for, and with twice as many.
+        backward: whether they are inverse maps, those of stable manifolds.
+    """
+
+    maps: tuple[Maps, Maps]
+    backward: bool
+
+
+class BranchSet(NamedTuple):
+    """Branches of one kind, of all points of the saddles and both sides of each, in this order.
+
+    Attributes:
+        curves: as the steps that the accuracy asks for have them, and twice as many.
+        branches: None where the manifold has not one dimension.
+        deviation: largest distance between both, in sizes, (branches,).
+    """
+
+    curves: tuple[Curves, Curves]
+    branches: list[ManifoldBranch | None]
+    deviation: Float[np.ndarray, " branches"]
+
+
+def side_of(make: Callable[[float], Maps], backward: bool) -> Side:
+    """Return the maps of a kind, from what makes them with so many times the steps."""
+    fine = make(2)
+    return Side((padded_like(make(1), fine), fine), backward)
+
+
+def grow_branches(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    side: Side,
+    saddles: Saddles,
+    size: Float[np.ndarray, "lanes d"],
+    length: float,
+    spacing: float,
+    most: int,
+) -> BranchSet:
+    """Return all branches of saddles, up to an arc length."""
+    p, scale, wrap = parameters_of(batch, saddles.lane), size[saddles.lane], batch.chart.wrap
+    germs = [find_germs(batch, lanes, of, p, saddles.points, scale, side.backward) for of in side.maps]
+    turned = np.sum(germs[0].directions * germs[1].directions, axis=1) < 0.0
+    germs[1] = germs[1]._replace(directions=np.where(turned[:, None], -1.0, 1.0) * germs[1].directions)
+    n = saddles.points.shape[1]
+    each = {name: np.repeat(values, 2 * n) for name, values in p.items()}
+    curves, fine = (
+        curves_of(of, each, _both(of_map), n, np.repeat(scale, 2 * n, axis=0), again=again)
+        for of, of_map, again in zip(side.maps, germs, (False, True), strict=True)
+    )
+    branches = grow(lanes, curves, wrap, length, spacing, most)
+    deviation = np.full(len(branches), np.nan)
+    known = [b for b, branch in enumerate(branches) if branch is not None]
+    if known:
+        x = [branch.x[1:] for branch in branches if branch is not None]
+        which = np.repeat(known, [len(each) for each in x])
+        points = positions(lanes, fine, which, np.concatenate(x))
+        for b, part in zip(known, np.split(points, np.cumsum([len(each) for each in x])[:-1]), strict=True):
+            branch = branches[b]
+            assert branch is not None
+            deviation[b] = distance_from(branch, part, curves.size[b], wrap)
+    return BranchSet((curves, fine), branches, deviation)
+
+
+def has_branches(germs: Germs, n: int) -> Bool[np.ndarray, " orbits"]:
+    """Return which orbits of n points have a manifold of one dimension."""
+    return np.all(np.isfinite(germs.multiplier).reshape(-1, n), axis=1)
+
+
+def _both(germs: Germs) -> Germs:
+    """Return each germ twice, with both signs of its direction."""
+    twice = Germs(*(np.repeat(leaf, 2, axis=0) for leaf in germs))
+    return twice._replace(directions=twice.directions * np.tile(SIDES, len(germs.multiplier))[:, None])

@@ -1,0 +1,221 @@
+"""The group `manifolds`: saddles, branches, crossings and tangencies of lanes as variables, and their table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+
+from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, range_in_words, variable
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.manifolds.branches import SIDES, BranchSet
+from jaxnh.analyses.manifolds.crossings import Crossings
+from jaxnh.analyses.manifolds.curves import ENDS
+from jaxnh.analyses.manifolds.saddles import Saddles
+from jaxnh.analyses.manifolds.tangencies import KEPT, Tangencies
+from jaxnh.analyses.options.orbits import ManifoldsOptions
+from jaxnh.analyses.section_points import states_at
+from jaxnh.maps.section import outputs, plot_plane
+from jaxnh.systems.flow import NOT_FINITE, status
+
+KINDS = ("unstable", "stable")
+"""Meanings of the flags 0 and 1 of `branch_kind`."""
+
+OWN_NAMES = (
+    "saddle", "branch", "point", "crossing", "contact", "branch_kind", "branch_start", "branch_sign", "multiplier",
+    "end", "arc_length", "deviation", "crossing_arc", "crossing_angle", "crossing_deviation", "crossing_from",
+    "crossing_to", "tangency", "tangency_error", "tangency_from", "tangency_to", "saddles", "status",
+)  # fmt: skip
+"""Names of variables and dimensions that no parameter or coordinate may have."""
+
+_SIZES = "in halves of the box"
+
+
+class Manifolds(NamedTuple):
+    """Manifolds of the saddles of a batch.
+
+    Attributes:
+        saddles: those that are kept.
+        number: of all saddles of each lane, (lanes,).
+        grown: branches by number of their kind.
+        crossings: how far twice the steps move each, in sizes, and the numbers of their lanes; None: not wanted.
+        tangencies: the same with their lanes.
+    """
+
+    saddles: Saddles
+    number: Int[np.ndarray, " lanes"]
+    grown: Mapping[int, BranchSet]
+    crossings: tuple[Crossings, Float[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]] | None
+    tangencies: tuple[Tangencies, Int[np.ndarray, " tangencies"]] | None
+
+
+def variables(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner, made: Manifolds) -> dict[str, Entry]:
+    """Return all variables of a batch."""
+    n, kinds = options.period, list(made.grown)
+    each = 2 * n
+    start = np.tile(np.repeat(np.arange(1, n + 1), 2), len(kinds)).astype(np.int32)
+    signs = np.tile(np.array(SIDES, np.int8), n * len(kinds))
+    numbers, dims = np.bincount(made.saddles.lane, minlength=batch.count), (LANE, "branch")
+
+    def repeated(values: np.ndarray) -> np.ndarray:
+        return np.tile(values, (batch.count, 1))
+
+    entries: dict[str, Entry] = {
+        "branch_kind": flag(dims, repeated(np.repeat(kinds, each)), "kind of manifold that the branch is of", KINDS),
+        "branch_start": variable(dims, repeated(start), "number of the point of the orbit that the branch begins at"),
+        "branch_sign": variable(dims, repeated(signs), "side of the point that the branch begins to"),
+        "saddles": variable(LANE, made.number.astype(np.int32), "number of saddle orbits known, kept or not"),
+        **_of_branches(options, batch, lanes, made),
+    }
+    if made.crossings is not None:
+        entries |= _of_crossings(options, batch, lanes, made, *made.crossings)
+    if made.tangencies is not None:
+        entries |= _of_tangencies(options, batch, made, *made.tangencies)
+    finite = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(batch.start)], axis=0)
+    entries["status"] = as_variable(LANE, status(np.where(finite | (numbers > 0), 0, NOT_FINITE)))
+    return entries
+
+
+def _of_branches(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner, made: Manifolds) -> dict[str, Entry]:
+    each, kinds, saddles = 2 * options.period, list(made.grown), made.saddles
+    shape = batch.count, options.saddles, each * len(kinds)
+    points = np.full((*shape, options.max_points, batch.chart.dimension), np.nan)
+    arc, end = np.full(points.shape[:-1], np.nan), np.zeros(shape, np.int8)
+    multiplier, deviation = np.full(shape, np.nan), np.full(shape, np.nan)
+    for place, kind in enumerate(kinds):
+        grown = made.grown[kind]
+        for b, branch in enumerate(grown.branches):
+            s, k = b // each, place * each + b % each
+            at = saddles.lane[s], saddles.place[s], k
+            of_turn = grown.curves[0].multiplier[b]
+            multiplier[at] = of_turn if kind == 0 else 1.0 / of_turn
+            deviation[at] = grown.deviation[b]
+            if branch is not None:
+                end[at] = branch.end
+                points[at][: len(branch.x)], arc[at][: len(branch.x)] = branch.points, branch.arc
+    orbit = np.full((*shape[:2], options.period, batch.chart.dimension), np.nan)
+    orbit[saddles.lane, saddles.place] = saddles.points
+    of = LANE, "saddle", "branch"
+    return {
+        **_named(batch, lanes, orbit, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
+        **_named(batch, lanes, points, (*of, "point"), "_points", "along the branch"),
+        "arc_length": variable((*of, "point"), arc, f"arc length from the saddle, {_SIZES}"),
+        "multiplier": variable(of, multiplier, "multiplier along the branch"),
+        "end": flag(of, end, "how the branch ends", ENDS),
+        "deviation": variable(
+            of, deviation, f"largest distance of the branch from that of twice the steps and a shorter start, {_SIZES}"
+        ),
+    }
+
+
+def _of_crossings(
+    options: ManifoldsOptions,
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    made: Manifolds,
+    crossings: Crossings,
+    deviation: Float[np.ndarray, " crossings"],
+    lane: Int[np.ndarray, " crossings"],
+) -> dict[str, Entry]:
+    at, dims, shape = _places(lane, options.crossings), (LANE, "crossing"), (batch.count, options.crossings)
+    meetings = crossings.meetings
+    points = _filled((*shape, 2), at, crossings.points)
+    columns = (
+        ("crossing_arc", meetings.arc, f"sum of the arc lengths of both branches, {_SIZES}", "1"),
+        ("crossing_angle", crossings.angle, "angle between the branches, coordinates in halves of the box", "rad"),
+        ("crossing_deviation", deviation, f"how far twice the steps and a shorter start move the point, {_SIZES}", "1"),
+    )
+    return {
+        **_named(batch, lanes, points, dims, "_crossings", "of points where manifolds cross, one of each orbit"),
+        **{name: variable(dims, _filled(shape, at, data), words, unit) for name, data, words, unit in columns},
+        **_ends("crossing", dims, shape, at, made.saddles, meetings, options.period),
+    }
+
+
+def _of_tangencies(
+    options: ManifoldsOptions, batch: LaneBatch, made: Manifolds, of: Tangencies, lane: Int[np.ndarray, " tangencies"]
+) -> dict[str, Entry]:
+    at, dims, shape = _places(lane, KEPT), (LANE, "contact"), (batch.count, KEPT)
+    name = options.tangency
+    assert name is not None
+    words, unit = batch.flow.labels.long_names[name], {"units": batch.flow.labels.units[name]}
+    return {
+        "tangency": variable(dims, _filled(shape, at, of.value), f"{words} of tangencies, nearest first", **unit),
+        "tangency_error": variable(dims, _filled(shape, at, of.error), "error of the value", **unit),
+        **_ends("tangency", dims, shape, at, made.saddles, of.meetings, options.period),
+    }
+
+
+def _ends(
+    kind: str, dims: tuple[str, ...], shape: tuple[int, ...], at: Any, saddles: Saddles, meetings: Any, period: int
+) -> dict[str, Entry]:
+    """Return the numbers of the saddles that orbits come from and go to."""
+    entries = dict[str, Entry]()
+    for ending, branches in (("from", meetings.unstable), ("to", meetings.stable)):
+        numbers = np.zeros(shape, np.int32)
+        numbers[at] = saddles.place[branches // (2 * period)] + 1
+        words = f"number of the saddle whose {KINDS[ending == 'to']} manifold it is of"
+        entries[f"{kind}_{ending}"] = number_variable(dims, numbers, words, ("none",))
+    return entries
+
+
+def _places(lane: Int[np.ndarray, " some"], most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return lanes and places of what is in order of lanes."""
+    return lane, np.arange(len(lane)) - np.searchsorted(lane, lane)
+
+
+def _filled(shape: tuple[int, ...], at: Any, values: np.ndarray) -> np.ndarray:
+    whole = np.full(shape, np.nan)
+    whole[at] = values
+    return whole
+
+
+def _named(
+    batch: LaneBatch, lanes: LaneRunner, points: np.ndarray, dims: Sequence[str], ending: str, words: str
+) -> dict[str, Entry]:
+    """Return points, (..., d) over the dimensions, as coordinates by name."""
+    flat = points.reshape(-1, points.shape[-1])
+    known = np.isfinite(flat).all(axis=1)
+    names = dict.fromkeys((*plot_plane(batch.system), *batch.flow.coordinates))
+    some = flat[known] if known.any() else np.zeros((1, flat.shape[1]))
+    states = jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], states_at(batch, lanes, some))
+    named = outputs(batch.flow, states, np.zeros(1))
+    entries = dict[str, Entry]()
+    for name in names:
+        if name in named:
+            whole = np.full(len(flat), np.nan)
+            if known.any():
+                whole[known] = np.asarray(named[name].data)[:, 0]
+            long_name = f"{named[name].long_name} {words}"
+            entries[f"{name}{ending}"] = variable(
+                dims, whole.reshape(points.shape[:-1]), long_name, **named[name].attrs
+            )
+    return entries
+
+
+def _kinds(data: xr.Dataset) -> np.ndarray:
+    """Return the kinds of branches, which are the same in all lanes, (branch,)."""
+    kind = data["branch_kind"].transpose("branch", ...).to_numpy()
+    return kind.reshape(len(kind), -1)[:, 0]
+
+
+def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
+    """Return the ranges over lanes of arc lengths, deviations, crossings and tangencies."""
+    kind, lane_dims = _kinds(data), [d for d in data["end"].dims if d != "branch"]
+    rows = [("saddles", range_in_words(data["saddles"].to_numpy().astype(float)))]
+    for number in np.unique(kind).tolist():
+        arc = data["arc_length"].isel(branch=kind == number).transpose(*lane_dims, "branch", "point").to_numpy()
+        longest = np.max(np.where(np.isfinite(arc), arc, -np.inf), axis=-1)
+        off = data["deviation"].isel(branch=kind == number).to_numpy()
+        rows += [
+            (f"arc length, {KINDS[number]}", range_in_words(longest)),
+            (f"deviation, {KINDS[number]}", range_in_words(off)),
+        ]
+    for name, words in (("crossing_arc", "crossings, arc length"), ("tangency", "tangencies")):
+        if name in data:
+            rows.append((words, range_in_words(data[name].to_numpy())))
+    return Table("Manifolds", ("quantity", "values"), tuple(rows), left=(0,))

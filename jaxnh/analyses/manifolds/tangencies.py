@@ -1,0 +1,253 @@
+"""Tangencies of stable and unstable manifolds along a parameter, by Newton on both curves and the parameter.
+
+Unknown are the places on both curves and the parameter. Both points are one and both tangents are parallel: the fold of
+a crossing. What an error does along a curve moves the place and leaves the parameter as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.manifolds.branches import BranchSet, Side
+from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined, take
+from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, tangents
+from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
+from jaxnh.systems.chart import Wrap
+
+KEPT = 4
+"""Tangencies of a lane that are kept, the nearest ones."""
+
+_CANDIDATES = 12  # of a lane
+_FARTHEST = 0.4  # sizes: curves whose tangents are parallel so near may be tangent at a parameter near by
+_ALIKE = 0.05  # of x, of places that are images of one another
+_TRIVIAL = 0.05  # sizes: of both curves, where they begin
+_PROBES = (1e-6, 1e-6, 1e-7)  # of both x and, in units of itself, the parameter, for differences
+_LARGEST_STEPS = (0.05, 0.05, 0.01)
+_PLACE_STEPS = 8
+_STEPS = 24
+_NEAR = 1e-4  # of the parameter, in units of itself: a step below it is one of Newton near the solution
+_AT_REST = 1e-9  # of the parameter, in units of itself
+_ZERO = 1e-7  # sizes
+_ROUNDING = 1e-11  # of the parameter, in units of itself
+_SAME = 1e-7  # likewise: values of one tangency
+
+
+class Tangencies(NamedTuple):
+    """Tangencies of lanes.
+
+    Attributes:
+        meetings: the branches, and where on them; `arc` as of the candidates.
+        value: of the parameter, (tangencies,), not a number where Newton does not come to rest.
+        error: of it, (tangencies,).
+    """
+
+    meetings: Meetings
+    value: Float[np.ndarray, " tangencies"]
+    error: Float[np.ndarray, " tangencies"]
+
+
+def near_tangencies(
+    unstable: Sequence[tuple[int, ManifoldBranch]],
+    stable: Sequence[tuple[int, ManifoldBranch]],
+    size: Float[np.ndarray, " 2"],
+    wrap: Wrap,
+    curves: tuple[Curves, Curves],
+) -> Meetings:
+    """Return where tangents of two branches near each other are parallel, the nearest first, one of each orbit."""
+    from scipy.spatial import KDTree  # here, as it takes a tenth of a second to import
+
+    parts = list[Meetings]()
+    for number, one in unstable:
+        for other_number, other in stable:
+            if min(len(one.x), len(other.x)) < 4:
+                continue
+            middle, way = _segments(one, size, wrap)
+            other_middle, other_way = _segments(other, size, wrap)
+            distance, near = KDTree(other_middle).query(middle, distance_upper_bound=_FARTHEST)
+            near = np.minimum(near, len(other_middle) - 1)
+            sine = _cross(way, other_way[near])
+            gap = np.abs(_cross(other_middle[near] - middle, other_way[near]))
+            arcs = one.arc[1:-1], other.arc[1:-1][near]
+            kept = (sine[1:] * sine[:-1] <= 0.0) & np.isfinite(distance[1:]) & np.isfinite(distance[:-1])
+            kept &= np.maximum(arcs[0][1:], arcs[1][1:]) > _TRIVIAL
+            at = np.flatnonzero(kept) + 1
+            share = sine[at - 1] / (sine[at - 1] - sine[at])
+            centre = 0.5 * (one.x[1:-1] + one.x[2:])
+            own = centre[at - 1] + share * (centre[at] - centre[at - 1])
+            x = np.stack([own, _foot(other, near[at], middle[at], size)], axis=1)
+            parts.append(Meetings(np.full(len(at), number), np.full(len(at), other_number), x, gap[at]))
+    every = joined(parts)
+    every = take(every, np.argsort(every.arc, kind="stable")[: 16 * _CANDIDATES])
+    return take(every, distinct_orbits(every, curves, _ALIKE)[:_CANDIDATES])
+
+
+class _System(NamedTuple):
+    """The equations of tangencies near some parameters.
+
+    Attributes:
+        batch, lanes, sides, saddles, size: as of `locate_tangencies`.
+        name: of the parameter.
+        which: numbers of the maps, 0 or 1 for twice the steps.
+        meetings: the branches.
+        directions: that their germs have at the parameters of their lanes.
+    """
+
+    batch: LaneBatch
+    lanes: LaneRunner
+    sides: tuple[Side, Side]
+    saddles: Saddles
+    size: Float[np.ndarray, "lanes d"]
+    name: str
+    which: int
+    meetings: Meetings
+    directions: tuple[np.ndarray, np.ndarray]
+
+    def residual(self, number: Int[np.ndarray, " some"], z: Float[np.ndarray, "some 3"]) -> Float[np.ndarray, "some 3"]:
+        """Return the gap along the stable branch, the rate of that across, and the gap across, in sizes.
+
+        The rate is that in x of the unstable branch. Where this is a parabola in x, however sharp, it is linear.
+        """
+        at, lane = [], self.saddles.lane[self.meetings.unstable[number] // (2 * self.saddles.points.shape[1])]
+        size = self.size[lane]
+        for k, branches in enumerate((self.meetings.unstable, self.meetings.stable)):
+            side, n = self.sides[k], self.saddles.points.shape[1]
+            branch, strobe = branches[number], side.maps[self.which]
+            saddle, point = branch // (2 * n), branch // 2 % n
+            p = {**parameters_of(self.batch, lane), self.name: z[:, 2]}
+            germs = find_germs(self.batch, self.lanes, strobe, p, self.saddles.points[saddle], size, side.backward)
+            row = np.arange(len(number)) * n + point
+            germs = Germs(*(leaf[row] for leaf in germs))
+            sign = np.sign(np.sum(germs.directions * self.directions[k][branch], axis=1))
+            germs = germs._replace(directions=sign[:, None] * germs.directions)
+            curves = curves_of(strobe, p, germs, n, size, again=bool(self.which))
+            fine = np.isfinite(curves.multiplier) & np.isfinite(z).all(axis=1)
+            points, ways = np.full((2, len(number), 2), np.nan)
+            places = np.flatnonzero(fine)
+            if len(places):
+                points[fine], ways[fine] = tangents(self.lanes, curves, places, z[places, k])
+            at.append((points, ways / size))
+        gap = self.batch.chart.wrap(at[0][0] - at[1][0]) / size
+        with np.errstate(divide="ignore", invalid="ignore"):
+            way = at[1][1] / np.linalg.norm(at[1][1], axis=1, keepdims=True)
+        return np.stack([np.sum(gap * way, axis=1), _cross(at[0][1], way), _cross(gap, way)], axis=1)
+
+    def solve(self, z: Float[np.ndarray, "some 3"]) -> tuple[Float[np.ndarray, "some 3"], Float[np.ndarray, " some"]]:
+        """Return the solutions of Newton, not numbers where it does not come to rest, and its last step.
+
+        Places where tangents are parallel are solved for alone first, and after each step of the parameter.
+        """
+        z, last = z.copy(), np.full(len(z), np.inf)
+        self.steps(z, 2, _PLACE_STEPS)
+        result, open_ = np.full_like(z, np.nan), np.arange(len(z))
+        for _ in range(_STEPS):
+            part = self._replace(meetings=take(self.meetings, open_))
+            now = z[open_]
+            gap, last[open_] = part.steps(now, 3, 1)
+            rest = (last[open_] < _AT_REST) & (gap < _ZERO)
+            result[open_[rest]] = now[rest]
+            left = ~rest & np.isfinite(now).all(axis=1)
+            open_, now = open_[left], now[left]
+            if not len(open_):
+                break
+            if (last[open_] > _NEAR).any():
+                part._replace(meetings=take(self.meetings, open_)).steps(now, 2, 2)
+            z[open_] = now
+        return result, last
+
+    def steps(
+        self, z: Float[np.ndarray, "some 3"], free: int, count: int
+    ) -> tuple[Float[np.ndarray, " some"], Float[np.ndarray, " some"]]:
+        """Make steps of Newton on the first unknowns, in place, not numbers where there is none.
+
+        Returns:
+            The largest residual before the last one, and what it moves the parameter by, in units of itself.
+        """
+        gap, moved = np.full(len(z), np.inf), np.zeros(len(z))
+        shifts = np.concatenate([np.zeros((1, 3)), np.eye(3)[:free], -np.eye(3)[:free]])
+        for _ in range(count):
+            unit = np.stack([np.ones(len(z)), np.ones(len(z)), np.maximum(np.abs(z[:, 2]), 1e-3)], axis=1)
+            probes = np.array(_PROBES) * unit
+            every = (z[None] + shifts[:, None] * probes[None]).reshape(-1, 3)
+            values = self.residual(np.tile(np.arange(len(z)), len(shifts)), every)
+            values = values.reshape(len(shifts), len(z), 3)[:, :, :free]
+            jacobian = np.moveaxis((values[1 : free + 1] - values[free + 1 :]) / 2.0, 0, 2) / probes[:, None, :free]
+            step = np.full((len(z), free), np.nan)
+            fine = np.isfinite(values).all(axis=(0, 2)) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0.0)
+            step[fine] = np.linalg.solve(jacobian[fine], values[0][fine][..., None])[..., 0]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = np.minimum(1.0, np.min((np.array(_LARGEST_STEPS) * unit)[:, :free] / np.abs(step), axis=1))
+            z[:, :free] -= share[:, None] * step
+            gap = np.abs(values[0]).max(axis=1)
+            moved = np.abs(step[:, 2]) / unit[:, 2] if free > 2 else moved
+        return gap, moved
+
+
+def locate_tangencies(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    sides: tuple[Side, Side],
+    saddles: Saddles,
+    size: Float[np.ndarray, "lanes d"],
+    grown: tuple[BranchSet, BranchSet],
+    meetings: Meetings,
+    name: str,
+) -> Tangencies:
+    """Return the tangencies that Newton finds from places where branches are nearly tangent.
+
+    Args:
+        sides: maps of unstable and of stable manifolds.
+        grown: the branches.
+        meetings: the places.
+        name: of the parameter.
+    """
+    directions = grown[0].curves[0].directions, grown[1].curves[0].directions
+    saddle = meetings.unstable // (2 * saddles.points.shape[1])
+    values = np.asarray(batch.p[name], float)[saddles.lane[saddle]]
+    start, solved = np.concatenate([meetings.x, values[:, None]], axis=1), list[np.ndarray]()
+    last = np.zeros(len(start))
+    for which in (0, 1):
+        system = _System(batch, lanes, sides, saddles, size, name, which, meetings, directions)
+        known = np.flatnonzero(np.all(np.isfinite(start), axis=1))
+        result = np.full_like(start, np.nan)
+        part = system._replace(meetings=take(meetings, known))
+        if len(known):
+            result[known], last[known] = part.solve(start[known])
+        solved.append(result)
+        start = result
+    (coarse, fine), unit = solved, np.maximum(np.abs(values), 1e-3)
+    error = np.abs(fine[:, 2] - coarse[:, 2]) + unit * (last + _ROUNDING)
+    return Tangencies(meetings._replace(x=fine[:, :2]), fine[:, 2], error)
+
+
+def nearest_tangencies(of: Tangencies, value: float) -> Int[np.ndarray, " kept"]:
+    """Return the numbers of those nearest to a value of the parameter, each once."""
+    kept = list[int]()
+    for i in np.argsort(np.abs(of.value - value), kind="stable").tolist():
+        unit = _SAME * max(abs(value), 1e-3)
+        if np.isfinite(of.value[i]) and all(abs(of.value[i] - of.value[j]) > unit + of.error[i] for j in kept):
+            kept.append(i)
+    return np.array(kept[:KEPT], int)
+
+
+def _foot(branch: ManifoldBranch, segment: np.ndarray, points: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return x of the points of segments of a branch nearest to some points, in sizes."""
+    begin, end = branch.points[1:-1][segment] / size, branch.points[2:][segment] / size
+    way = end - begin
+    share = np.clip(np.sum((points - begin) * way, axis=1) / np.sum(way * way, axis=1), 0.0, 1.0)
+    return branch.x[1:-1][segment] + share * (branch.x[2:] - branch.x[1:-1])[segment]
+
+
+def _segments(branch: ManifoldBranch, size: np.ndarray, wrap: Wrap) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middles and the directions of the segments of a branch, but for the first, in sizes."""
+    way = wrap(np.diff(branch.points[1:], axis=0)) / size
+    middle = branch.points[1:-1] / size + 0.5 * way
+    return middle, way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
+def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]

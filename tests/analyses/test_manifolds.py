@@ -1,0 +1,226 @@
+"""Stable and unstable manifolds: straight lines, power series, crossings on a lattice, and tangencies."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
+
+import jaxnh
+from jaxnh.exceptions import InputError
+
+GOLDEN = 0.5 * (1.0 + np.sqrt(5.0))
+FORNAESS_GAVOSTO = 1.392419807915
+"""A tangency of the manifolds of Henon's fixed point at b = 0.3 (Fornæss and Gavosto, Ergod. Th. Dyn. Sys. 12, 1992)."""
+
+
+def cat(repetition=0.0):
+    del repetition
+
+    def image(y):
+        x, z = y
+        return jnp.stack([2.0 * x + z, x + z]) % (2.0 * jnp.pi)
+
+    def inverse(y):
+        x, z = y
+        return jnp.stack([x - z, 2.0 * z - x]) % (2.0 * jnp.pi)
+
+    return {"map": image, "inverse": inverse, "coordinates": ("x", "z"), "angles": ("x", "z")}
+
+
+def henon(a=1.4, b=0.3):
+    def image(s):
+        x, y = s
+        return 1.0 - a * x**2 + y, b * x
+
+    def inverse(s):
+        x, y = s
+        return y / b, x - 1.0 + a * (y / b) ** 2
+
+    return {"map": image, "inverse": inverse, "coordinates": ("x", "y")}
+
+
+def duffing(F=0.0075, d=0.01, w=1.0):
+    def rhs(y, t):
+        x, v = y
+        return v, x - x**3 - d * v + F * jnp.cos(w * t)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / w}
+
+
+def wrapped(difference):
+    return (difference + np.pi) % (2 * np.pi) - np.pi
+
+
+def test_the_cat_map():
+    """Lines through the fixed point along the eigenvectors; they cross at right angles, in a lattice's projections."""
+    options = jaxnh.Manifolds(box={"x": (-1.0, 1.0), "z": (-1.0, 1.0)}, length=20.0, spacing=0.2, n_starts=4)
+    data = jaxnh.Session(cat, start={"x": 0.1, "z": 0.2}).run(options, repetition=[0.0]).isel(repetition=0)
+    lines = {"unstable": np.array([GOLDEN, 1.0]), "stable": np.array([-1.0, GOLDEN])}
+    points = np.stack([data["x_points"], data["z_points"]], axis=-1).reshape(4, -1, 2)
+    arc, signs = data["arc_length"].to_numpy().reshape(4, -1), data["branch_sign"].to_numpy()
+    for k, kind in enumerate(jaxnh.labels(data["branch_kind"]).to_numpy().tolist()):
+        way = signs[k] * lines[kind] / np.linalg.norm(lines[kind])
+        known = np.isfinite(arc[k])
+        assert arc[k][known].max() >= 20.0
+        assert np.abs(wrapped(points[k] - arc[k][:, None] * way)[known]).max() < 1e-12  # sums of some 200 chords
+    assert float(data["deviation"].max()) < 1e-12
+    crossings = np.stack([data["x_crossings"], data["z_crossings"]], axis=-1).reshape(-1, 2)
+    # Rounding of the first segments, 1e-10 of x, moves points along either curve, at a speed of some ten.
+    assert data["crossing_angle"].to_numpy() == pytest.approx(np.pi / 2, abs=1e-9)
+    i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
+    lattice = 2 * np.pi * np.stack([i.ravel(), j.ravel()], axis=1)
+    for kind in lines:
+        normal = np.array([-lines[kind][1], lines[kind][0]]) / np.linalg.norm(lines[kind])
+        assert np.abs((crossings[:, None] + lattice[None]) @ normal).min(axis=1).max() < 1e-8
+
+
+def series(a, b, kind, order=60):
+    """Fixed point, multiplier and coefficients (order, 2) of K with P(K(s)) = K(μ s), by powers of s."""
+    x = (b - 1.0 + np.sqrt((1.0 - b) ** 2 + 4.0 * a)) / (2.0 * a)
+    root = np.sqrt((a * x) ** 2 + b)
+    mu = -a * x - root if kind == "unstable" else -a * x + root
+    terms = np.zeros((order, 2))
+    terms[0], terms[1] = (x, b * x), (1.0, b / mu)
+    for k in range(2, order):  # x_k μ^k = −a Σ x_i x_(k−i) + y_k, y_k μ^k = b x_k
+        square = terms[1:k, 0] @ terms[k - 1 : 0 : -1, 0]
+        terms[k, 0] = -a * square / (mu**k + 2.0 * a * x - b / mu**k)
+        terms[k, 1] = b * terms[k, 0] / mu**k
+    return mu, terms
+
+
+BOX = {"x": (0.0, 2.0), "y": (-1.0, 1.0)}
+
+
+def distance_from_series(points, kind, pulls=8):
+    """Distances of points, brought near the fixed point by the map that contracts along the curve, from K."""
+    mu, terms = series(1.4, 0.3, kind)
+    x, y = points.T
+    for _ in range(pulls):
+        x, y = (y / 0.3, x - 1.0 + 1.4 * (y / 0.3) ** 2) if kind == "unstable" else (1.0 - 1.4 * x**2 + y, 0.3 * x)
+    s, slopes = x - terms[0, 0], terms[1:] * np.arange(1, len(terms))[:, None]
+    for _ in range(8):
+        gap = np.polynomial.polynomial.polyval(s, terms) - np.stack([x, y])
+        way = np.polynomial.polynomial.polyval(s, slopes)
+        s = s - np.sum(gap * way, axis=0) / np.sum(way * way, axis=0)
+    assert np.abs(s).max() < 0.3 * abs(mu) ** 0.5
+    return np.linalg.norm(gap, axis=0)
+
+
+def test_henons_manifolds_by_their_power_series():
+    """Both kinds, beyond their first folds. What rounding does across grows by 6.4 a step on the way: to 1e-9 in all."""
+    options = jaxnh.Manifolds(box=BOX, length=5.0, spacing=0.05, crossings=0)
+    data = jaxnh.Session(henon, start={"x": 0.1, "y": 0.1}).run(options, a=[1.4]).isel(a=0, saddle=0)
+    for k, kind in enumerate(jaxnh.labels(data["branch_kind"]).to_numpy().tolist()):
+        here = data.isel(branch=k)
+        assert float(here["multiplier"]) == pytest.approx(series(1.4, 0.3, kind)[0], rel=1e-12)
+        points = np.stack([here["x_points"], here["y_points"]], axis=-1)
+        known = np.isfinite(here["arc_length"].to_numpy())
+        assert known.sum() > 100
+        assert distance_from_series(points[known], kind).max() < 1e-9
+        assert float(here["deviation"]) < 1e-8
+
+
+def test_tangencies_of_henons_manifolds():
+    """The published one from lanes on both sides of it, each the other's value, within the errors that they say."""
+    options = jaxnh.Manifolds(box=BOX, length=12.0, tangency="a", crossings=0)
+    data = jaxnh.Session(henon, start={"x": 0.1, "y": 0.1}).run(options, a=[1.391, 1.394])
+    value, error = data["tangency"].to_numpy()[:, 0], data["tangency_error"].to_numpy()[:, 0]
+    assert np.all(np.abs(value - FORNAESS_GAVOSTO) < error + 1e-12)
+    assert error.max() < 1e-10
+    assert np.all(data["tangency_from"].to_numpy()[:, 0] == 1)
+
+
+def test_what_does_not_go():
+    def folded(a=1.4):
+        def image(s):
+            return 1.0 - a * s[0] ** 2, 0.3 * s[0]
+
+        return {"map": image, "coordinates": ("x", "y")}
+
+    session = jaxnh.Session(folded, start={"x": 0.1, "y": 0.1})
+    with pytest.raises(InputError, match="the map says no inverse; stable manifolds need that: take kind: unstable"):
+        session.run(jaxnh.Manifolds(box=BOX), a=[1.4])
+    with pytest.raises(InputError, match="needs a box"):
+        session.run(jaxnh.Manifolds(kind="unstable"), a=[1.4])
+    with pytest.raises(InputError, match="tangencies are along an axis that lanes may differ in; these are a"):
+        session.run(jaxnh.Manifolds(box=BOX, tangency="b"), a=[1.4])
+    with pytest.raises(InputError, match="take kind: both"):
+        jaxnh.Manifolds(box=BOX, tangency="a", kind="unstable")
+    with pytest.raises(InputError, match="gives no inverse of itself"):
+        jaxnh.Session(wrong_inverse, start={"x": 0.1, "y": 0.1}).run(jaxnh.Manifolds(box=BOX), a=[1.4])
+
+
+def wrong_inverse(a=1.4, b=0.3):
+    def image(s):
+        x, y = s
+        return 1.0 - a * x**2 + y, b * x
+
+    def inverse(s):
+        x, y = s
+        return y / b, x + 1.0 + a * (y / b) ** 2
+
+    return {"map": image, "inverse": inverse, "coordinates": ("x", "y")}
+
+
+def independent_gap(force, damping=0.01, samples=40):
+    """Largest of (x_s − x_u) over the time of passage through v = 0, x > 1, in units of the force, by DOP853."""
+    turn = 2 * np.pi
+
+    def rates(t, y):
+        return [y[1], y[0] - y[0] ** 3 - damping * y[1] + force * np.cos(t)]
+
+    def after(y, t):
+        return solve_ivp(rates, (0.0, t), y, "DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
+
+    saddle = fsolve(lambda y: after(y, turn) - y, [-force / 2, 0.0], xtol=1e-14)
+    h = 1e-5
+    matrix = np.array([(after(saddle + h * e, turn) - after(saddle - h * e, turn)) / (2 * h) for e in np.eye(2)]).T
+    values, vectors = np.linalg.eig(matrix)
+    harmonics = []
+    for which, sign in ((np.argmax(values), 1.0), (np.argmin(values), -1.0)):
+        way = vectors[:, which] * np.sign(vectors[0, which])
+        size = abs(np.log(values[which]))
+        phase, place = [], []
+        for k in range(samples):
+            y = saddle + 1e-7 * np.exp(size * k / samples) * way
+
+            def turning(t, y, sign=sign):
+                return y[1] if y[0] > 1.0 else sign
+
+            turning.terminal = True
+            path = solve_ivp(rates, (0.0, sign * 60.0), y, "DOP853", rtol=1e-13, atol=1e-15, events=turning)
+            phase.append(path.t_events[0][0])
+            place.append(path.y_events[0][0][0])
+        n = np.arange(1, 9)
+        basis = np.concatenate([np.ones((samples, 1)), np.cos(np.outer(phase, n)), np.sin(np.outer(phase, n))], axis=1)
+        harmonics.append(np.linalg.lstsq(basis, np.array(place), rcond=None)[0])
+    t = np.linspace(0.0, turn, 4001)
+    basis = np.concatenate([np.ones((len(t), 1)), np.cos(np.outer(t, n)), np.sin(np.outer(t, n))], axis=1)
+    gap = basis @ (harmonics[0] - harmonics[1])
+    k = int(np.argmax(gap[1:-1])) + 1
+    bend = gap[k + 1] - 2 * gap[k] + gap[k - 1]
+    return gap[k] - (gap[k + 1] - gap[k - 1]) ** 2 / (8 * bend)
+
+
+@pytest.mark.slow
+def test_the_first_tangency_of_duffings_saddle():
+    """Within 2 % of Melnikov's value, and to 1e-6 of DOP853 on another section: both graphs over the phase touch.
+
+    The gap of both is linear in the force near zero, but for its square: a secant through two values near it.
+    """
+    melnikov = 0.01 * 4.0 / 3.0 * np.cosh(np.pi / 2) / (np.sqrt(2.0) * np.pi)
+    session = jaxnh.Session(duffing, start={"x": 0.1, "v": 0.1}, target=1e-11)
+    options = jaxnh.Manifolds(
+        box={"x": (-0.5, 0.5), "v": (-0.5, 0.5)}, length=8.0, tangency="F", crossings=0, n_starts=16
+    )
+    data = session.run(options, F=[0.97 * melnikov, 1.03 * melnikov])
+    value, error = data["tangency"].to_numpy()[:, 0], data["tangency_error"].to_numpy()[:, 0]
+    assert value == pytest.approx(melnikov, rel=0.02)
+    assert abs(value[0] - value[1]) < error.sum() + 1e-13
+    low, high = value[0] * (1 - 1e-4), value[0] * (1 + 1e-4)
+    gaps = [independent_gap(force) for force in (low, high)]
+    exact = low - gaps[0] * (high - low) / (gaps[1] - gaps[0])
+    assert value == pytest.approx(exact, rel=1e-6)
