@@ -1,0 +1,141 @@
+"""Newton on collocation equations of many lanes at once, and the choice of their meshes. Host code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxnh.orbits.collocation.equations import (
+    Boundary,
+    Linearised,
+    Problem,
+    Solution,
+    Variation,
+    linearise,
+    moved,
+    phase_condition,
+    step_without,
+)
+from jaxnh.orbits.collocation.paths import adapted_mesh, on_mesh
+
+_STEPS = 40
+_QUADRATIC = 1e-6  # step, in sizes, after which one more reaches the rounding floor
+_LARGEST = 0.5  # step, likewise
+_STALLED = 4  # steps that may be longer than the one before, all together
+_REMESHINGS = 3
+
+Tree = TypeVar("Tree")
+
+BoundaryOf = Callable[[Solution, Int[np.ndarray, " lanes"]], Boundary]
+"""Boundary conditions at solutions of lanes with these numbers."""
+
+Hold = Callable[[Linearised, Int[np.ndarray, " lanes"]], Sequence[Variation]]
+"""Directions, one a parameter, to which steps of lanes with these numbers are orthogonal."""
+
+
+class Corrected(NamedTuple):
+    """Solutions that Newton has come to.
+
+    Attributes:
+        solution: they.
+        converged: whether Newton has come to rest, (lanes,).
+        rounding: length of the last step, which is what rounding leaves, in sizes, (lanes,).
+        residual: largest component of the equations, in sizes, (lanes,).
+    """
+
+    solution: Solution
+    converged: Bool[np.ndarray, " lanes"]
+    rounding: Float[np.ndarray, " lanes"]
+    residual: Float[np.ndarray, " lanes"]
+
+
+def take(tree: Tree, lanes: Any) -> Tree:
+    """Return the entries of a subset of lanes."""
+    return jax.tree.map(lambda leaf: leaf[lanes], tree)
+
+
+def put(tree: Any, lanes: Int[np.ndarray, " some"], new: Any) -> None:
+    """Set the entries of a subset of lanes."""
+    for leaf, value in zip(jax.tree.leaves(tree), jax.tree.leaves(new), strict=True):
+        leaf[lanes] = value
+
+
+def correct(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold) -> Corrected:
+    """The solutions near guesses.
+
+    Each step has no share of the shift along the orbit, which is the integral phase condition with the iterate before
+    as reference. Long steps are shortened. A lane is given up where steps grow again and again.
+
+    Args:
+        problem: the field.
+        guess: where to begin.
+        boundary: the boundary conditions.
+        hold: what else steps have no share of.
+    """
+    solution = jax.tree.map(np.array, guess)
+    lanes = len(solution.duration)
+    last, stalled = np.full(lanes, np.inf), np.zeros(lanes, int)
+    converged, residual, open_ = np.zeros(lanes, bool), np.full(lanes, np.nan), np.arange(lanes)
+    for _ in range(_STEPS):
+        part = take(solution, open_)
+        try:
+            line = linearise(problem, part, boundary(part, open_))
+            step = step_without(part.path, line, [phase_condition(problem, line), *hold(line, open_)])
+        except np.linalg.LinAlgError:
+            if lanes == 1:
+                break
+            return _lane_by_lane(problem, guess, boundary, hold)
+        length = np.maximum(np.abs(step.stages).max(axis=(1, 2, 3)), np.abs(step.extra).max(axis=1))
+        residual[open_] = line.residual
+        stalled[open_] += length > last[open_]
+        good = np.isfinite(length) & (stalled[open_] <= _STALLED)
+        factor = np.where(length > _LARGEST, _LARGEST / length, 1.0)
+        step = Variation(*(factor.reshape(-1, *[1] * (leaf.ndim - 1)) * leaf for leaf in step))
+        put(solution, open_[good], take(moved(problem, part, step), good))
+        at_rest = last[open_] <= _QUADRATIC
+        converged[open_] = good & at_rest
+        last[open_[good]] = length[good]
+        open_ = open_[good & ~at_rest]
+        if not len(open_):
+            break
+    return Corrected(solution, converged, last, residual)
+
+
+def _lane_by_lane(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold) -> Corrected:
+    """The same where the equations of one lane are singular."""
+
+    def one(lane: int) -> Corrected:
+        def own_boundary(solution: Solution, _: Int[np.ndarray, " lanes"]) -> Boundary:
+            return boundary(solution, np.array([lane]))
+
+        def own_hold(line: Linearised, _: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
+            return hold(line, np.array([lane]))
+
+        return correct(problem, take(guess, [lane]), own_boundary, own_hold)
+
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *map(one, range(len(guess.duration))))
+
+
+def remeshed(problem: Problem, solution: Solution, n: int | None = None, *, cyclic: bool = True) -> Solution:
+    """The solutions on meshes adapted to them, of n intervals or as many as there are."""
+    mesh = adapted_mesh(solution.path, problem.size, n, cyclic=cyclic)
+    return solution._replace(path=on_mesh(solution.path, mesh))
+
+
+def on_adapted_mesh(
+    problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold, n: int, *, cyclic: bool = True
+) -> Corrected:
+    """The solutions near guesses on meshes of n intervals, adapted to them a few times."""
+    corrected = correct(problem, guess, boundary, hold)
+    for _ in range(_REMESHINGS):
+        lanes = np.flatnonzero(corrected.converged)
+        if not len(lanes):
+            break
+        on_new = remeshed(problem, take(corrected.solution, lanes), n, cyclic=cyclic)
+        again = correct(problem, on_new, lambda part, of: boundary(part, lanes[of]), lambda line, of: hold(line, lanes[of]))
+        put(corrected, lanes[again.converged], take(again, again.converged))
+    return corrected
