@@ -41,6 +41,8 @@ from jaxnh.orbits.continuation.branches import (
     StepControl,
 )
 
+_MOST = 400  # intervals of a mesh
+_RESOLVED = 1e-4  # error of a multiplier, relative to it or absolute where it is small, at which meshes are fine enough
 _BENT = 0.9  # cosine of the angle between directions at the ends of a step, at least
 _MISSED = 0.3  # of a step that Newton goes back, at most
 _WANTED = 0.1  # what steps are chosen for
@@ -58,14 +60,22 @@ class CyclePoint(NamedTuple):
     Attributes:
         solution: the cycle.
         way: direction of the branch.
-        multipliers: (e,).
+        multipliers, errors: Floquet multipliers, and how far the mesh is from resolving each, (e,).
         residual: largest component of the equations, in sizes.
+        step: length of the step that led to it.
     """
 
     solution: Solution
     way: Variation
     multipliers: Complex[np.ndarray, " e"]
+    errors: Float[np.ndarray, " e"]
     residual: float
+    step: float = 0.0
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the multipliers are known well enough to tell what changes along the branch."""
+        return bool(np.all(self.errors <= _RESOLVED * np.maximum(1.0, np.abs(self.multipliers))))
 
     @property
     def value(self) -> float:
@@ -97,8 +107,8 @@ def point_at(problem: Problem, solution: Solution, lift: Float[np.ndarray, " d"]
     way = direction_without(solution.path, line, [phase, phase])
     share = way.extra[:, 1] if along is None else inner(solution.path, way, along)
     way = combination([(np.where(share < 0.0, -1.0, 1.0), way)])
-    values = cycle_multipliers(problem, solution, line.blocks)[0]
-    return CyclePoint(solution, way, values[0], float(line.residual[0]))
+    values, errors = cycle_multipliers(problem, solution, line.blocks)
+    return CyclePoint(solution, way, values[0], errors[0], float(line.residual[0]))
 
 
 def reversed_way(point: CyclePoint) -> CyclePoint:
@@ -133,6 +143,10 @@ def follow_cycles(
             if size < _SMALLEST:
                 return CycleBranch(points, (begin, NO_CONVERGENCE))
             continue
+        n = now.solution.path.stages.shape[1]
+        if not taken.resolved and 2 * n <= _MOST:
+            points[-1] = remeshed_point(problem, now, 2 * n)
+            continue
         if (end := _end(problem, points, taken, size)) is None and at_end:
             end = RANGE
         if end in (COLLAPSED, CLOSED):
@@ -148,7 +162,7 @@ def step_along(
     problem: Problem, now: CyclePoint, lift: Float[np.ndarray, " d"], size: float, ends: tuple[float, float]
 ) -> tuple[CyclePoint | None, float, bool]:
     """The point a step further, None where there is none; how far Newton went, of the step; whether the range ends there."""
-    now = remeshed_point(problem, now)
+    now = remeshed_point(problem, now, now.solution.path.stages.shape[1])
     guess = moved(problem, now.solution, combination([(size, now.way)]))
     at_end = not ends[0] < float(guess.values[0, 0]) < ends[1]
     if at_end:
@@ -172,7 +186,7 @@ def step_along(
     if inner(guess.path, taken.way, now.way)[0] < _BENT:
         return None, np.inf, at_end
     far = np.sqrt(inner(guess.path, missed, missed)[0])
-    return taken, float(far / max(size, _SMALLEST)), at_end
+    return taken._replace(step=size), float(far / max(size, _SMALLEST)), at_end
 
 
 def difference(problem: Problem, one: Solution, other: Solution) -> Variation:
@@ -182,8 +196,8 @@ def difference(problem: Problem, one: Solution, other: Solution) -> Variation:
     return Variation(ends, stages, np.concatenate(extra, axis=1))
 
 
-def remeshed_point(problem: Problem, point: CyclePoint, n: int | None = None) -> CyclePoint:
-    """The point with its direction on a mesh adapted to it."""
+def remeshed_point(problem: Problem, point: CyclePoint, n: int) -> CyclePoint:
+    """The point with its direction on a mesh of n intervals adapted to it."""
     mesh = adapted_mesh(point.solution.path, problem.size, n)
     path = on_mesh(point.solution.path, mesh)
     way = on_mesh(Path(point.solution.path.mesh, *point.way[:2]), mesh)
