@@ -130,12 +130,14 @@ def on_adapted_mesh(
     problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold, n: int, *, cyclic: bool = True
 ) -> Corrected:
     """The solutions near guesses on meshes of n intervals, adapted to them a few times."""
+    if guess.path.stages.shape[1] != n:
+        guess = remeshed(problem, guess, n, cyclic=cyclic)
     corrected = correct(problem, guess, boundary, hold)
     for _ in range(_REMESHINGS):
         lanes = np.flatnonzero(corrected.converged)
         if not len(lanes):
             break
-        on_new = remeshed(problem, take(corrected.solution, lanes), n, cyclic=cyclic)
+        on_new = remeshed(problem, take(corrected.solution, lanes), cyclic=cyclic)
         again = correct(problem, on_new, lambda part, of: boundary(part, lanes[of]), lambda line, of: hold(line, lanes[of]))
         put(corrected, lanes[again.converged], take(again, again.converged))
     return corrected
