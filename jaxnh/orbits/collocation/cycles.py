@@ -24,6 +24,7 @@ from jaxnh.orbits.collocation.paths import halved, on_mesh
 from jaxnh.orbits.multipliers import multipliers
 
 _MOST = 6400  # intervals of a mesh
+_OF_MULTIPLIERS = 100.0
 _TINY = np.finfo(float).tiny  # multipliers below are zero
 _FLOOR = 4 * np.finfo(float).eps
 
@@ -113,7 +114,8 @@ def solve_cycles(
     Args:
         problem: the field.
         guess: paths, durations (of a flow with a clock the known ones) and parameters.
-        tolerance: error, in sizes of the motion and relative to the duration, at which meshes are fine enough.
+        tolerance: error, in sizes of the motion and relative to the duration, at which meshes are fine enough; that of
+            multipliers, relative to those above one, may be a hundred times as large.
         lift: of the end over the beginning, for angles that turn.
         most: intervals of the finer mesh.
     """
@@ -123,7 +125,9 @@ def solve_cycles(
     while len(open_):
         n = guess.path.stages.shape[1]
         part, coarse = _on_two_meshes(problem, guess, closure(problem, lift[open_]), n)
-        good = part.converged & (np.maximum(part.error, part.duration_error / guess.duration) <= tolerance)
+        shares = part.multiplier_error / np.maximum(1.0, np.abs(part.multipliers))
+        errors = [part.error, part.duration_error / guess.duration, shares.max(axis=1, initial=0.0) / _OF_MULTIPLIERS]
+        good = part.converged & (np.max(errors, axis=0) <= tolerance)
         again = ~good & (4 * n <= most)
         for k in np.flatnonzero(~again).tolist():
             cycles[int(open_[k])] = take(part, slice(k, k + 1))
@@ -148,7 +152,7 @@ def _on_two_meshes(problem: Problem, guess: Solution, boundary: BoundaryOf, n: i
         fine.solution,
         values,
         apart.max(axis=1) + rounding,
-        shift + rounding * fine.solution.duration,
+        shift + (fine.extra_rounding[:, 0] + _FLOOR) * fine.solution.duration,
         missing,
         fine.residual,
         coarse.converged & fine.converged,

@@ -128,7 +128,7 @@ def homoclinic_orbit(
         raise ValueError("Newton comes to no homoclinic orbit on the halves of the mesh; begin with more intervals")
     value = corrected.solution.values[0, 0]
     error = abs(value - longer.values[0, 0]) + abs(longer.values[0, 0] - solution.values[0, 0])
-    rounding = (corrected.rounding[0] + _FLOOR) * problem.widths[0]
+    rounding = (corrected.extra_rounding[0, 1] + _FLOOR) * problem.widths[0]
     return Homoclinic(corrected.solution, saddle_at(problem, saddle.state, corrected.solution.values[0]), error + rounding)
 
 

@@ -43,13 +43,15 @@ class Corrected(NamedTuple):
     Attributes:
         solution: they.
         converged: whether Newton has come to rest, (lanes,).
-        rounding: length of the last step, which is what rounding leaves, in sizes, (lanes,).
+        rounding: largest component of the last step, which is what rounding leaves, in sizes, (lanes,).
+        extra_rounding: the same of the logarithm of the duration and of the parameters, in widths, (lanes, 1 + q).
         residual: largest component of the equations, in sizes, (lanes,).
     """
 
     solution: Solution
     converged: Bool[np.ndarray, " lanes"]
     rounding: Float[np.ndarray, " lanes"]
+    extra_rounding: Float[np.ndarray, "lanes 1+q"]
     residual: Float[np.ndarray, " lanes"]
 
 
@@ -78,7 +80,7 @@ def correct(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold)
     """
     solution = jax.tree.map(np.array, guess)
     lanes = len(solution.duration)
-    last, stalled = np.full(lanes, np.inf), np.zeros(lanes, int)
+    last, stalled, extra = np.full(lanes, np.inf), np.zeros(lanes, int), np.full((lanes, 1 + len(problem.widths)), np.inf)
     converged, residual, open_ = np.zeros(lanes, bool), np.full(lanes, np.nan), np.arange(lanes)
     for _ in range(_STEPS):
         part = take(solution, open_)
@@ -98,11 +100,11 @@ def correct(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold)
         put(solution, open_[good], take(moved(problem, part, step), good))
         at_rest = last[open_] <= _QUADRATIC
         converged[open_] = good & at_rest
-        last[open_[good]] = length[good]
+        last[open_[good]], extra[open_[good]] = length[good], np.abs(step.extra[good])
         open_ = open_[good & ~at_rest]
         if not len(open_):
             break
-    return Corrected(solution, converged, last, residual)
+    return Corrected(solution, converged, last, extra, residual)
 
 
 def _lane_by_lane(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold) -> Corrected:
