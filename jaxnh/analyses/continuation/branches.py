@@ -2,7 +2,8 @@
 
 Orbits to begin with are those that the sweep's lanes settle on and, where they are asked for, those that Newton finds
 from random starts. What follows is for all lanes together (`family_tree`): branches are followed to their ends, doubled
-orbits and those of branch points in turn, and none twice.
+orbits and those of branch points in turn, and none twice. Orbits are those of the return map, by shooting, or cycles of
+the flow by collocation (`cycles`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.continuation.cycle_points import durations, tree_of_cycles
+from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import equilibria
 from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import grow
@@ -35,6 +38,8 @@ from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.orbits.continuation.branches import StepControl
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
 _WORK = 3.0  # of a run, in those of settling: a guess
 
@@ -71,8 +76,20 @@ def check(options: BranchesOptions, setting: Setting) -> None:
     if options.equilibria and not setting.autonomous:
         what = "a flow with a clock" if setting.flow.continuous else "a map has orbits of period 1, and"
         raise OptionError(f"{what} has no equilibria; leave it out", "equilibria")
+    if options.method == "collocation":
+        _check_collocation(setting)
     if options.equilibria and setting.flow.chart.dimension > setting.flow.exponents:
         raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
+
+
+def _check_collocation(setting: Setting) -> None:
+    """Check that cycles are smooth solutions of the field, and isolated."""
+    if not setting.flow.continuous:
+        raise OptionError("collocation follows cycles of flows; of a map take method: shooting", "method")
+    if isinstance(setting.flow, PiecewiseSmooth | SwitchedMechanics):
+        raise OptionError("collocation follows smooth cycles, without jumps or switches; take method: shooting", "method")
+    if setting.flow.chart.dimension > setting.flow.exponents:
+        raise OptionError("cycles of a flow with constraints are not isolated; take method: shooting", "method")
 
 
 def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -96,7 +113,6 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     known = np.isfinite(size).all(axis=1)
     unit = np.median(size[known], axis=0) if known.any() else np.ones(u.shape[1])
     ends = float(axis.values.min()), float(axis.values.max())
-    families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
     waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
     sampled = np.unique(np.linspace(0, len(order) - 1, min(options.n_values, len(order))).round().astype(int))
     here = batch.take(np.argsort(batch.first_axis.values, kind="stable")[sampled])
@@ -118,8 +134,15 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)
 
-    steps = StepControl(options.step, options.max_points)
-    grown = [FollowedBranches(grow(families, waves, options.max_period, steps, stage), families[0], batch)]
+    steps, family = StepControl(options.step, options.max_points), orbit_family(batch, lanes, batch.strobe(), unit, ends)
+    timed = None
+    if options.method == "collocation":
+        followed, lost = grow_cycles(batch, lanes, waves, options.max_period, ends, steps, stage)
+        tree, timed = tree_of_cycles(batch, followed, lost), durations(followed)
+    else:
+        families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
+        tree = grow(families, waves, options.max_period, steps, stage)
+    grown = [FollowedBranches(tree, family, batch, timed)]
     if options.equilibria:
         grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
     return datasets(lanes, grown, options.max_period)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -37,6 +37,10 @@ class BranchesOptions(Options):
 
     max_period: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
+    method: Literal["shooting", "collocation"] = Field(
+        default="shooting",
+        description="Orbits of the return map by shooting, or cycles of the flow by collocation: stiff and very unstable",
+    )
     step: float = Field(
         default=0.02, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"
     )

@@ -160,7 +160,7 @@ def _zero(
     scale, before = abs(at_low) + abs(at_high), np.inf
     for _ in range(_STEPS):
         size = (low * at_high - high * at_low) / (at_high - at_low)
-        point, _, _ = step_along(problem, now, lift, size, ends)
+        point, _ = step_along(problem, now, lift, size, ends)
         if point is None:
             return None
         at_size = test(point)

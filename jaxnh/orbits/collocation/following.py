@@ -137,7 +137,9 @@ def follow_cycles(
     points, size = [begun], _FIRST * steps.largest
     while len(points) <= steps.most:
         now = points[-1]
-        taken, missed, at_end = step_along(problem, now, lift, size, ends)
+        if now.value in ends and (now.value == ends[0]) == (now.way.extra[0, 1] < 0.0):
+            return CycleBranch(points, (begin, RANGE))
+        taken, missed = step_along(problem, now, lift, size, ends)
         if taken is None or missed > _MISSED:
             size *= 0.5
             if size < _SMALLEST:
@@ -147,10 +149,9 @@ def follow_cycles(
         if not taken.resolved and 2 * n <= _MOST:
             points[-1] = remeshed_point(problem, now, 2 * n)
             continue
-        if (end := _end(problem, points, taken, size)) is None and at_end:
-            end = RANGE
-        if end in (COLLAPSED, CLOSED):
-            return CycleBranch(points if end == COLLAPSED else [*points, taken], (begin, end))
+        end = _end(problem, points, taken, size)
+        if end == COLLAPSED:
+            return CycleBranch(points, (begin, end))
         points.append(taken)
         if end is not None:
             return CycleBranch(points, (begin, end))
@@ -160,8 +161,8 @@ def follow_cycles(
 
 def step_along(
     problem: Problem, now: CyclePoint, lift: Float[np.ndarray, " d"], size: float, ends: tuple[float, float]
-) -> tuple[CyclePoint | None, float, bool]:
-    """The point a step further, None where there is none; how far Newton went, of the step; whether the range ends there."""
+) -> tuple[CyclePoint | None, float]:
+    """The point a step further, or at the end of the range, None where there is none; how far Newton went, of the step."""
     now = remeshed_point(problem, now, now.solution.path.stages.shape[1])
     guess = moved(problem, now.solution, combination([(size, now.way)]))
     at_end = not ends[0] < float(guess.values[0, 0]) < ends[1]
@@ -177,16 +178,16 @@ def step_along(
 
     corrected = correct(problem, guess, closure(problem, lift[None]), hold)
     if not corrected.converged[0]:
-        return None, np.inf, at_end
+        return None, np.inf
     missed = difference(problem, corrected.solution, guess)
     try:
         taken = point_at(problem, corrected.solution, lift, now.way)
     except np.linalg.LinAlgError:
-        return None, np.inf, at_end
+        return None, np.inf
     if inner(guess.path, taken.way, now.way)[0] < _BENT:
-        return None, np.inf, at_end
+        return None, np.inf
     far = np.sqrt(inner(guess.path, missed, missed)[0])
-    return taken._replace(step=size), float(far / max(size, _SMALLEST)), at_end
+    return taken._replace(step=size), float(far / max(size, _SMALLEST))
 
 
 def difference(problem: Problem, one: Solution, other: Solution) -> Variation:
