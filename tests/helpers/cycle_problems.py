@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from jaxnh.orbits.collocation.equations import Problem, Rates, Solution
+from jaxnh.orbits.collocation.equations import FieldValues, Problem, Solution
 from jaxnh.orbits.collocation.fields import point_rates
 from jaxnh.orbits.collocation.paths import path_through
 
@@ -24,7 +24,7 @@ def problem_of(flow, names, size, widths=None):
             return np.concatenate([x, np.repeat(x[:1], room - len(x), axis=0)])
 
         p = {name: padded(values[:, k]) for k, name in enumerate(names)}
-        return Rates(*(np.asarray(leaf)[: len(y)] for leaf in rates(padded(y), padded(t), p)))
+        return FieldValues(*(np.asarray(leaf)[: len(y)] for leaf in rates(padded(y), padded(t), p)))
 
     widths = np.ones(len(names)) if widths is None else np.asarray(widths, float)
     return Problem(field, np.asarray(size, float), widths, not flow.autonomous)

@@ -19,7 +19,10 @@ from tests.flows.lorenz import lorenz
 from tests.helpers.cycle_problems import first_cycle, problem_of
 
 LORENZ_SHORTEST = 1.558652210716  # Viswanath, Nonlinearity 16 (2003) 1035, at rho = 28
-RELAXATION = {100.0: 162.83707109237, 1000.0: 1614.40112581}  # van der Pol's periods, as the literature of stiff solvers has them
+RELAXATION = {
+    100.0: 162.83707109237,
+    1000.0: 1614.40112581,
+}  # van der Pol's periods, as the literature of stiff solvers has them
 
 
 def van_der_pol(mu=1.0, sign=1.0):
@@ -42,8 +45,10 @@ def joined(*solutions):
     """Solutions side by side."""
     paths = [np.concatenate(leaves) for leaves in zip(*(s.path for s in solutions), strict=True)]
     first = solutions[0]
-    return Solution(first.path._replace(mesh=paths[0], ends=paths[1], stages=paths[2]), *(
-        np.concatenate(leaves) for leaves in zip(*((s.duration, s.values) for s in solutions), strict=True)))
+    return Solution(
+        first.path._replace(mesh=paths[0], ends=paths[1], stages=paths[2]),
+        *(np.concatenate(leaves) for leaves in zip(*((s.duration, s.values) for s in solutions), strict=True)),
+    )
 
 
 @pytest.mark.parametrize("m", [2, 3, 4, 5])
@@ -123,19 +128,26 @@ def test_shortest_orbit_of_lorenz():
     variables = hy.make_vars("x", "y", "z")
     x, y, z = variables
     field = [(x, 10.0 * (y - x)), (y, x * (28.0 - z) - y), (z, x * y - 8.0 / 3.0 * z)]
-    ta = hy.taylor_adaptive(hy.var_ode_sys(field, [x, y, z], order=1), list(cycle.solution.path.ends[0, 0]), compact_mode=True)
+    ta = hy.taylor_adaptive(
+        hy.var_ode_sys(field, [x, y, z], order=1), list(cycle.solution.path.ends[0, 0]), compact_mode=True
+    )
     ta.propagate_until(cycle.solution.duration[0])
     values = np.sort(np.abs(np.linalg.eigvals(ta.state[3:].reshape(3, 3))))
     assert abs(values[1] - 1.0) < 1e-9
     assert abs(cycle.multipliers[0, 0] - values[2]) < 1e-8
-    stable = np.exp(-(10 + 1 + 8 / 3) * LORENZ_SHORTEST) / values[2]  # Liouville's formula, its divergence being constant
+    stable = (
+        np.exp(-(10 + 1 + 8 / 3) * LORENZ_SHORTEST) / values[2]
+    )  # Liouville's formula, its divergence being constant
     assert abs(cycle.multipliers[0, 1] - stable) < 1e-8 * stable
 
 
 def test_errors_of_loose_meshes_hold():
     """Periods and the unstable multiplier of Lorenz's orbit on meshes of all sizes, against that of a fine one."""
     flow = first_order(lorenz, {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}, ("rho",))
-    problem, multiplier = problem_of(flow, ("rho",), (8.0, 9.0, 9.0)), 4.7129472695  # as the test above has it by heyoka
+    problem, multiplier = (
+        problem_of(flow, ("rho",), (8.0, 9.0, 9.0)),
+        4.7129472695,
+    )  # as the test above has it by heyoka
     for n in (10, 14, 18, 24, 30, 40):
         cycle = solve_cycles(problem, lorenz_guess(n), 1.0)[0]
         assert cycle.converged[0]
@@ -199,7 +211,9 @@ def test_angle_that_turns():
     exact = np.exp(-0.2 * cycle.solution.duration[0])
     assert abs(cycle.multipliers[0, 0] - exact) <= cycle.multiplier_error[0, 0] < 1e-8
     angle, rate = hy.make_vars("angle", "rate")
-    ta = hy.taylor_adaptive([(angle, rate), (rate, 1.5 - 0.2 * rate - hy.sin(angle))], list(cycle.solution.path.ends[0, 0]))
+    ta = hy.taylor_adaptive(
+        [(angle, rate), (rate, 1.5 - 0.2 * rate - hy.sin(angle))], list(cycle.solution.path.ends[0, 0])
+    )
     ta.propagate_until(cycle.solution.duration[0])
     assert np.abs(ta.state - cycle.solution.path.ends[0, 0] - lift[0]).max() < 1e-9
 

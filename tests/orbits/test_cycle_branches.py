@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import functools
-import itertools
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from jaxnh.orbits.collocation.bifurcations import bifurcations, doubled_cycle
-from jaxnh.orbits.collocation.cycles import closure, solve_cycles
+from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.cycles import hold_parameters as hold
 from jaxnh.orbits.collocation.equations import Solution
-from jaxnh.orbits.collocation.following import follow_cycles, point_at, remeshed_point, reversed_way
+from jaxnh.orbits.collocation.following import follow_cycles, point_at, reversed_way
 from jaxnh.orbits.collocation.homoclinic import homoclinic_orbit, saddle_at
 from jaxnh.orbits.collocation.newton import correct
 from jaxnh.orbits.collocation.paths import path_through
@@ -187,4 +186,6 @@ def test_homoclinic_orbit_of_lorenz():
 
 def test_what_is_no_saddle_is_said():
     with pytest.raises(ValueError, match="no equilibrium near|is no saddle"):
-        saddle_at(problem_of(first_order(hopf, {"mu": 0.1}, ("mu",)), ("mu",), (0.5, 0.5)), np.zeros(2), np.array([0.1]))
+        saddle_at(
+            problem_of(first_order(hopf, {"mu": 0.1}, ("mu",)), ("mu",), (0.5, 0.5)), np.zeros(2), np.array([0.1])
+        )

@@ -30,14 +30,15 @@ from jaxnh.analyses.continuation.cycle_points import durations, tree_of_cycles
 from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import equilibria
 from jaxnh.analyses.continuation.families import orbit_family
-from jaxnh.analyses.continuation.family_tree import grow
+from jaxnh.analyses.continuation.family_tree import Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.options.orbits import BranchesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.orbits.continuation.branches import StepControl
+from jaxnh.orbits.continuation.branches import NO_CONVERGENCE, StepControl
+from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
@@ -76,20 +77,27 @@ def check(options: BranchesOptions, setting: Setting) -> None:
     if options.equilibria and not setting.autonomous:
         what = "a flow with a clock" if setting.flow.continuous else "a map has orbits of period 1, and"
         raise OptionError(f"{what} has no equilibria; leave it out", "equilibria")
-    if options.method == "collocation":
-        _check_collocation(setting)
+    if options.method == "collocation" and (why := _no_collocation(setting.flow)):
+        raise OptionError(f"{why}; take method: shooting", "method")
     if options.equilibria and setting.flow.chart.dimension > setting.flow.exponents:
         raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
 
 
-def _check_collocation(setting: Setting) -> None:
-    """Check that cycles are smooth solutions of the field, and isolated."""
-    if not setting.flow.continuous:
-        raise OptionError("collocation follows cycles of flows; of a map take method: shooting", "method")
-    if isinstance(setting.flow, PiecewiseSmooth | SwitchedMechanics):
-        raise OptionError("collocation follows smooth cycles, without jumps or switches; take method: shooting", "method")
-    if setting.flow.chart.dimension > setting.flow.exponents:
-        raise OptionError("cycles of a flow with constraints are not isolated; take method: shooting", "method")
+def _no_collocation(flow: Flow) -> str:
+    """Return why cycles of a flow are no smooth and isolated solutions of its field; "" where they are."""
+    if not flow.continuous:
+        return "collocation follows cycles of flows, and this is a map"
+    if isinstance(flow, PiecewiseSmooth | SwitchedMechanics):
+        return "collocation follows smooth cycles, without jumps or switches"
+    if flow.chart.dimension > flow.exponents:
+        return "cycles of a flow with constraints are not isolated"
+    return ""
+
+
+def _needs_collocation(flow: Flow, tree: Tree) -> bool:
+    """Return whether shooting has lost a branch of a flow without a clock, whose returns expand too much."""
+    lost = any(NO_CONVERGENCE in branch.ends for branch in tree.branches)
+    return lost and flow.autonomous and not _no_collocation(flow)
 
 
 def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -134,15 +142,14 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)
 
-    steps, family = StepControl(options.step, options.max_points), orbit_family(batch, lanes, batch.strobe(), unit, ends)
-    timed = None
-    if options.method == "collocation":
+    steps, tree, timed = StepControl(options.step, options.max_points), None, None
+    families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
+    if options.method != "collocation":
+        tree = grow(families, waves, options.max_period, steps, stage)
+    if tree is None or (options.method == "auto" and _needs_collocation(batch.flow, tree)):
         followed, lost = grow_cycles(batch, lanes, waves, options.max_period, ends, steps, stage)
         tree, timed = tree_of_cycles(batch, followed, lost), durations(followed)
-    else:
-        families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
-        tree = grow(families, waves, options.max_period, steps, stage)
-    grown = [FollowedBranches(tree, family, batch, timed)]
+    grown = [FollowedBranches(tree, families[0], batch, timed)]
     if options.equilibria:
         grown.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
     return datasets(lanes, grown, options.max_period)

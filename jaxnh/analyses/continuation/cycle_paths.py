@@ -24,14 +24,17 @@ _LEVELS = 4
 _TILE = 8
 
 
-def first_guesses(batch: LaneBatch, lanes: LaneRunner, seeds: Sequence[SeedOrbit]) -> list[Solution]:
-    """The paths of orbits, with their durations and values of the parameter; none of those that do not come back."""
-    guesses = list[Solution]()
-    for seed in seeds:
+def first_guesses(batch: LaneBatch, lanes: LaneRunner, seeds: Sequence[SeedOrbit]) -> list[tuple[int, Solution]]:
+    """The paths of orbits, with their durations and values of the parameter, after how often they return.
+
+    In the order of these numbers; none of orbits that do not come back.
+    """
+    guesses = list[tuple[int, Solution]]()
+    for seed in sorted(seeds, key=lambda seed: len(seed.points)):
         times, states = _times_and_states(batch, lanes, seed)
         if np.isfinite(states).all() and times[-1] > 0.0:
             path, duration = path_through(times, states, _INTERVALS * len(seed.points))
-            guesses.append(Solution(path, np.array([duration]), np.array([[seed.value]])))
+            guesses.append((len(seed.points), Solution(path, np.array([duration]), np.array([[seed.value]]))))
     return guesses
 
 

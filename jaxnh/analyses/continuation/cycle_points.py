@@ -35,7 +35,9 @@ def tree_of_cycles(batch: LaneBatch, followed: Sequence[FollowedCycles], lost: i
         for one in known.bifurcations:
             at = cycle_points(batch, one.point.solution, known.returns)
             value = one.point.value
-            points.append(Bifurcation(one.kind, value, one.error, number, one.place, at, one.point.multipliers, np.nan, 0))
+            points.append(
+                Bifurcation(one.kind, value, one.error, number, one.place, at, one.point.multipliers, np.nan, 0)
+            )
     return Tree(branches, points, lost)
 
 

@@ -18,7 +18,7 @@ from jaxnh.analyses.continuation.cycle_paths import first_guesses
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.orbits.collocation.bifurcations import CycleBifurcation, bifurcations, doubled_cycle
 from jaxnh.orbits.collocation.cycles import closure, hold_parameters, solve_cycles
-from jaxnh.orbits.collocation.equations import Problem, Rates, Solution, combination, moved
+from jaxnh.orbits.collocation.equations import FieldValues, Problem, Solution, combination, moved
 from jaxnh.orbits.collocation.fields import point_rates
 from jaxnh.orbits.collocation.following import (
     CycleBranch,
@@ -64,10 +64,10 @@ def flow_problem(
 
     def field(
         y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points 1"]
-    ) -> Rates:
+    ) -> FieldValues:
         p = dict(batch.at_values(values[:, 0]).p)
         rates = lanes(point_rates, (batch.flow,), (y, t, p), tile=_TILE, static=((name,),))
-        return Rates(*map(np.asarray, rates))
+        return FieldValues(*map(np.asarray, rates))
 
     return Problem(field, size, np.array([ends[1] - ends[0]]), not batch.flow.autonomous)
 
@@ -94,14 +94,12 @@ def grow_cycles(
     """
     followed, lost, problem = list[FollowedCycles](), 0, None
     for wave in waves:
-        ordered = sorted(wave, key=lambda seed: len(seed.points))
-        for seed in ordered:
-            with stage(f"cycles of {len(seed.points)} returns by collocation"):
-                guesses = first_guesses(batch, lanes, [seed])
-                if not guesses:
-                    continue
-                problem = problem or flow_problem(batch, lanes, _size_of(guesses[0]), ends)
-                lost += _follow_on(problem, followed, guesses[0], len(seed.points), limit, ends, steps, batch)
+        with stage(f"paths of {len(wave)} orbits"):
+            guesses = first_guesses(batch, lanes, wave)
+        for returns, guess in guesses:
+            problem = problem or flow_problem(batch, lanes, _size_of([path for _, path in guesses]), ends)
+            with stage(f"cycles of {returns} returns by collocation"):
+                lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch)
     return followed, lost
 
 
@@ -147,7 +145,8 @@ def _first_point(problem: Problem, guess: Solution, lift: Float[np.ndarray, " d"
     extent = np.ptp(cycle.solution.path.ends[0] / problem.size, axis=0).max()
     if not cycle.converged[0] or (extent < _STILL and not problem.clock):
         return None
-    point = point_at(problem, cycle.solution, lift, None)
+    solution = cycle.solution._replace(values=guess.values)  # they are held, but for rounding
+    point = point_at(problem, solution, lift, None)
     return remeshed_point(problem, point, cycle.solution.path.stages.shape[1] // 2)
 
 
@@ -167,7 +166,10 @@ def _is_known(problem: Problem, followed: Sequence[FollowedCycles], point: Cycle
             if np.linalg.norm(ends[0] + share * (ends[1] - ends[0]) - wanted) > _NEAR:
                 continue
             nearest = before if share <= 0.5 else after
-            if np.linalg.norm(invariants(problem, _at_value(problem, nearest, point.value, known.lift)) - wanted) < _SAME:
+            if (
+                np.linalg.norm(invariants(problem, _at_value(problem, nearest, point.value, known.lift)) - wanted)
+                < _SAME
+            ):
                 return True
     return False
 
@@ -198,9 +200,9 @@ def _joined(
     return FollowedCycles(returns, lift, whole, [*moved_back, *moved_ahead])
 
 
-def _size_of(guess: Solution) -> Float[np.ndarray, " d"]:
-    """Half the extent of a path in each coordinate."""
-    size = 0.5 * np.ptp(guess.path.ends[0], axis=0)
+def _size_of(guesses: Sequence[Solution]) -> Float[np.ndarray, " d"]:
+    """Half the extent of most paths in each coordinate."""
+    size = 0.5 * np.median([np.ptp(guess.path.ends[0], axis=0) for guess in guesses], axis=0)
     return np.where(size > 0.0, size, size.max() or 1.0)
 
 

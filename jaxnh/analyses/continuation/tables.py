@@ -72,6 +72,7 @@ def datasets(lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int) -
     attrs = {
         "limit": limit,
         "along": axis.name,
+        "method": "shooting" if grown[0].durations is None else "collocation",
         **({"warnings": words} if (words := _warnings(axis, trees)) else {}),
     }
     lost = sum(tree.lost for tree in trees)

@@ -37,9 +37,10 @@ class BranchesOptions(Options):
 
     max_period: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
-    method: Literal["shooting", "collocation"] = Field(
-        default="shooting",
-        description="Orbits of the return map by shooting, or cycles of the flow by collocation: stiff and very unstable",
+    method: Literal["auto", "shooting", "collocation"] = Field(
+        default="auto",
+        description="Orbits of the return map by shooting, or cycles of the flow by collocation, which no expansion loses; "
+        "auto: by shooting, and by collocation where that loses a branch of a flow without a clock",
     )
     step: float = Field(
         default=0.02, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"

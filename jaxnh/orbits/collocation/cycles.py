@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.orbits.collocation.equations import (
-    Boundary,
-    Linearised,
+    BoundaryConditions,
+    NewtonSystem,
     Problem,
     Solution,
     Variation,
@@ -29,7 +29,7 @@ _TINY = np.finfo(float).tiny  # multipliers below are zero
 _FLOOR = 4 * np.finfo(float).eps
 
 
-class Cycles(NamedTuple):
+class CycleSolution(NamedTuple):
     """Cycles, a lane each.
 
     Attributes:
@@ -59,17 +59,17 @@ def closure(problem: Problem, lift: Float[np.ndarray, "lanes d"]) -> BoundaryOf:
         lift: of the end over the beginning.
     """
 
-    def boundary(solution: Solution, lanes: Int[np.ndarray, " lanes"]) -> Boundary:
+    def boundary(solution: Solution, lanes: Int[np.ndarray, " lanes"]) -> BoundaryConditions:
         ends = solution.path.ends
         d = ends.shape[2]
         one = np.broadcast_to(np.eye(d), (len(lanes), d, d))
         extra = np.zeros((len(lanes), d, 1 + solution.values.shape[1]))
-        return Boundary(-one, one, extra, (ends[:, 0] + lift[lanes] - ends[:, -1]) / problem.size)
+        return BoundaryConditions(-one, one, extra, (ends[:, 0] + lift[lanes] - ends[:, -1]) / problem.size)
 
     return boundary
 
 
-def hold_parameters(line: Linearised, lanes: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
+def hold_parameters(line: NewtonSystem, lanes: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
     """The directions of all parameters, which are then known."""
     return [fixed(line, number) for number in range(line.particular.extra.shape[1] - 1)]
 
@@ -82,7 +82,10 @@ def floquet_blocks(
         return blocks
     lanes, n, d, _ = blocks.shape
     values, ends = np.repeat(solution.values, n, axis=0), solution.path.ends[:, :-1].reshape(-1, d)
-    rate = np.asarray(problem.field(ends, np.zeros(lanes * n), values).rate).reshape(lanes, n, d, 1) / problem.size[:, None]
+    rate = (
+        np.asarray(problem.field(ends, np.zeros(lanes * n), values).rate).reshape(lanes, n, d, 1)
+        / problem.size[:, None]
+    )
     across = np.linalg.qr(rate, mode="complete")[0][..., 1:]
     return np.swapaxes(np.roll(across, -1, 1), -1, -2) @ blocks @ across
 
@@ -104,8 +107,12 @@ def cycle_multipliers(
 
 
 def solve_cycles(
-    problem: Problem, guess: Solution, tolerance: float, lift: Float[np.ndarray, "lanes d"] | None = None, most: int = _MOST
-) -> list[Cycles]:
+    problem: Problem,
+    guess: Solution,
+    tolerance: float,
+    lift: Float[np.ndarray, "lanes d"] | None = None,
+    most: int = _MOST,
+) -> list[CycleSolution]:
     """The cycles near guesses at the parameters of these, one a lane, on meshes as fine as an error needs.
 
     Errors are differences of two solutions, one on the halves of the other's intervals: that of the finer one, which
@@ -121,7 +128,7 @@ def solve_cycles(
     """
     lanes = len(guess.duration)
     lift = np.zeros((lanes, guess.path.ends.shape[2])) if lift is None else lift
-    cycles, open_, guess = dict[int, Cycles](), np.arange(lanes), jax.tree.map(np.array, guess)
+    cycles, open_, guess = dict[int, CycleSolution](), np.arange(lanes), jax.tree.map(np.array, guess)
     while len(open_):
         n = guess.path.stages.shape[1]
         part, coarse = _on_two_meshes(problem, guess, closure(problem, lift[open_]), n)
@@ -137,7 +144,7 @@ def solve_cycles(
     return [cycles[lane] for lane in range(lanes)]
 
 
-def _on_two_meshes(problem: Problem, guess: Solution, boundary: BoundaryOf, n: int) -> tuple[Cycles, Solution]:
+def _on_two_meshes(problem: Problem, guess: Solution, boundary: BoundaryOf, n: int) -> tuple[CycleSolution, Solution]:
     """The cycles on the halves of the intervals of adapted meshes, and those on the whole, which tell errors."""
     coarse = on_adapted_mesh(problem, guess, boundary, hold_parameters, n)
     path = coarse.solution.path
@@ -148,7 +155,7 @@ def _on_two_meshes(problem: Problem, guess: Solution, boundary: BoundaryOf, n: i
     shift = np.abs(fine.solution.duration - coarse.solution.duration)
     rounding = fine.rounding + _FLOOR
     missing = missing + np.abs(values - before) + rounding[:, None] * np.abs(values)
-    cycles = Cycles(
+    cycles = CycleSolution(
         fine.solution,
         values,
         apart.max(axis=1) + rounding,

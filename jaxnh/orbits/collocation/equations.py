@@ -18,7 +18,7 @@ from jaxnh.orbits import cyclic
 from jaxnh.orbits.collocation.paths import Path, gauss_rule
 
 
-class Rates(NamedTuple):
+class FieldValues(NamedTuple):
     """A field at points, and its derivatives.
 
     Attributes:
@@ -36,8 +36,12 @@ class Field(Protocol):
     """The field over points, each with a time and parameters of its own."""
 
     def __call__(
-        self, y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points q"], /
-    ) -> Rates: ...
+        self,
+        y: Float[np.ndarray, "points d"],
+        t: Float[np.ndarray, " points"],
+        values: Float[np.ndarray, "points q"],
+        /,
+    ) -> FieldValues: ...
 
 
 class Problem(NamedTuple):
@@ -84,8 +88,8 @@ class Variation(NamedTuple):
     extra: Float[np.ndarray, "lanes 1+q"]
 
 
-class Boundary(NamedTuple):
-    """Boundary conditions of lanes, linearised, in units of sizes and widths.
+class BoundaryConditions(NamedTuple):
+    """BoundaryConditions conditions of lanes, linearised, in units of sizes and widths.
 
     Attributes:
         first, last: derivatives in the states at both ends, (lanes, d, d).
@@ -99,7 +103,7 @@ class Boundary(NamedTuple):
     missing: Float[np.ndarray, "lanes d"]
 
 
-class Linearised(NamedTuple):
+class NewtonSystem(NamedTuple):
     """The equations of Newton at solutions.
 
     Attributes:
@@ -143,7 +147,7 @@ def moved(problem: Problem, solution: Solution, step: Variation) -> Solution:
     return Solution(Path(path.mesh, ends, stages), duration, solution.values + step.extra[:, 1:] * problem.widths)
 
 
-def rates_on(problem: Problem, solution: Solution) -> Rates:
+def rates_on(problem: Problem, solution: Solution) -> FieldValues:
     """The field at all Gauss points, (lanes, n, m, …), in units of sizes and widths and of the duration."""
     path, size = solution.path, problem.size
     (lanes, n, m, d), each = path.stages.shape, n_points(path)
@@ -153,7 +157,7 @@ def rates_on(problem: Problem, solution: Solution) -> Rates:
     jacobian = np.asarray(at.jacobian).reshape(lanes, n, m, d, d) * (size / size[:, None])
     by_parameters = np.asarray(at.by_parameters).reshape(lanes, n, m, d, -1) * (problem.widths / size[:, None])
     rate = np.asarray(at.rate).reshape(lanes, n, m, d) / size
-    return Rates(scale * rate, scale[..., None] * jacobian, scale[..., None] * by_parameters)
+    return FieldValues(scale * rate, scale[..., None] * jacobian, scale[..., None] * by_parameters)
 
 
 def n_points(path: Path) -> int:
@@ -161,7 +165,7 @@ def n_points(path: Path) -> int:
     return path.stages.shape[1] * path.stages.shape[2]
 
 
-def linearise(problem: Problem, solution: Solution, boundary: Boundary) -> Linearised:
+def linearise(problem: Problem, solution: Solution, boundary: BoundaryConditions) -> NewtonSystem:
     """The equations of Newton at solutions; raises `numpy.linalg.LinAlgError` where those of an interval are singular.
 
     Stages follow from ΔY_j − h Σ a_jk (J_k ΔY_k + f_k ΔlogT + f_λk Δλ) = Δy_i − residual, the next end from the
@@ -201,12 +205,12 @@ def linearise(problem: Problem, solution: Solution, boundary: Boundary) -> Linea
         inside = np.concatenate([inside, np.full((lanes, n, 1), known)], axis=2)
         return Variation(y, (stages @ inside[:, :, None, :, None])[..., 0], x)
 
-    return Linearised(
+    return NewtonSystem(
         blocks, cycle, variation(*least, 1.0), [variation(*one, 0.0) for one in null], at.rate, residual
     )
 
 
-def phase_condition(problem: Problem, line: Linearised) -> Variation:
+def phase_condition(problem: Problem, line: NewtonSystem) -> Variation:
     """The direction that no step has a share of: the shift along the orbit; with a clock the duration."""
     lanes, n, _, d = line.rate.shape
     ends, extra = np.zeros((lanes, n + 1, d)), np.zeros_like(line.particular.extra)
@@ -214,14 +218,14 @@ def phase_condition(problem: Problem, line: Linearised) -> Variation:
     return Variation(ends, 0.0 * line.rate if problem.clock else line.rate, extra)
 
 
-def fixed(line: Linearised, number: int) -> Variation:
+def fixed(line: NewtonSystem, number: int) -> Variation:
     """The direction in which one parameter alone changes."""
     extra = np.zeros_like(line.particular.extra)
     extra[:, 1 + number] = 1.0
     return Variation(0.0 * line.particular.ends, 0.0 * line.particular.stages, extra)
 
 
-def step_without(path: Path, line: Linearised, directions: Sequence[Variation]) -> Variation:
+def step_without(path: Path, line: NewtonSystem, directions: Sequence[Variation]) -> Variation:
     """The step of Newton that is orthogonal to as many directions as there are solutions without right-hand sides."""
     matrix = np.stack([[inner(path, way, one) for one in line.null] for way in directions])
     right = np.stack([-inner(path, way, line.particular) for way in directions], axis=1)
@@ -229,7 +233,7 @@ def step_without(path: Path, line: Linearised, directions: Sequence[Variation]) 
     return combination([(1.0, line.particular), *((shares[:, k], one) for k, one in enumerate(line.null))])
 
 
-def direction_without(path: Path, line: Linearised, directions: Sequence[Variation]) -> Variation:
+def direction_without(path: Path, line: NewtonSystem, directions: Sequence[Variation]) -> Variation:
     """The direction of length one of solutions without right-hand sides that is orthogonal to all but one as many."""
     gram = np.moveaxis(np.stack([[inner(path, a, b) for b in line.null] for a in line.null]), 2, 0)
     matrix = np.moveaxis(np.stack([[inner(path, way, one) for one in line.null] for way in directions]), 2, 0)

@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from jaxnh.orbits.collocation.cycles import closure, cycle_multipliers
 from jaxnh.orbits.collocation.equations import (
-    Linearised,
+    NewtonSystem,
     Problem,
     Solution,
     Variation,
@@ -28,8 +27,8 @@ from jaxnh.orbits.collocation.equations import (
     moved,
     phase_condition,
 )
-from jaxnh.orbits.collocation.newton import correct, take
-from jaxnh.orbits.collocation.paths import Path, adapted_mesh, on_mesh, values_at
+from jaxnh.orbits.collocation.newton import correct
+from jaxnh.orbits.collocation.paths import Path, adapted_mesh, interpolation_errors, on_mesh, values_at
 from jaxnh.orbits.continuation.branches import (
     CLOSED,
     COLLAPSED,
@@ -43,6 +42,9 @@ from jaxnh.orbits.continuation.branches import (
 
 _MOST = 400  # intervals of a mesh
 _RESOLVED = 1e-4  # error of a multiplier, relative to it or absolute where it is small, at which meshes are fine enough
+_SMOOTH = 1e-5  # error of polynomials within intervals, likewise
+_UNEVEN, _EVEN_ENOUGH = 100.0, 0.1  # times the median error, and of the error above: a mesh is adapted beyond both
+_COARSE = 1e-3  # of the largest step, below which the mesh is made finer
 _BENT = 0.9  # cosine of the angle between directions at the ends of a step, at least
 _MISSED = 0.3  # of a step that Newton goes back, at most
 _WANTED = 0.1  # what steps are chosen for
@@ -61,6 +63,7 @@ class CyclePoint(NamedTuple):
         solution: the cycle.
         way: direction of the branch.
         multipliers, errors: Floquet multipliers, and how far the mesh is from resolving each, (e,).
+        bends: errors of the polynomials in each interval, in sizes, (n,).
         residual: largest component of the equations, in sizes.
         step: length of the step that led to it.
     """
@@ -69,6 +72,7 @@ class CyclePoint(NamedTuple):
     way: Variation
     multipliers: Complex[np.ndarray, " e"]
     errors: Float[np.ndarray, " e"]
+    bends: Float[np.ndarray, " n"]
     residual: float
     step: float = 0.0
 
@@ -76,6 +80,16 @@ class CyclePoint(NamedTuple):
     def resolved(self) -> bool:
         """Whether the multipliers are known well enough to tell what changes along the branch."""
         return bool(np.all(self.errors <= _RESOLVED * np.maximum(1.0, np.abs(self.multipliers))))
+
+    @property
+    def fine(self) -> bool:
+        """Whether its mesh is fine enough."""
+        return self.resolved and bool(self.bends.max() <= _SMOOTH)
+
+    @property
+    def even(self) -> bool:
+        """Whether errors are spread over its mesh evenly enough to stay on it."""
+        return bool(self.bends.max() <= max(_UNEVEN * np.median(self.bends), _EVEN_ENOUGH * _SMOOTH))
 
     @property
     def value(self) -> float:
@@ -100,7 +114,9 @@ class CycleBranch(NamedTuple):
         return np.array([point.value for point in self.points])
 
 
-def point_at(problem: Problem, solution: Solution, lift: Float[np.ndarray, " d"], along: Variation | None) -> CyclePoint:
+def point_at(
+    problem: Problem, solution: Solution, lift: Float[np.ndarray, " d"], along: Variation | None
+) -> CyclePoint:
     """The point of a branch at a cycle, with the direction that has a positive share of another one or the parameter."""
     line = linearise(problem, solution, closure(problem, lift[None])(solution, np.zeros(1, int)))
     phase = phase_condition(problem, line)
@@ -108,7 +124,8 @@ def point_at(problem: Problem, solution: Solution, lift: Float[np.ndarray, " d"]
     share = way.extra[:, 1] if along is None else inner(solution.path, way, along)
     way = combination([(np.where(share < 0.0, -1.0, 1.0), way)])
     values, errors = cycle_multipliers(problem, solution, line.blocks)
-    return CyclePoint(solution, way, values[0], errors[0], float(line.residual[0]))
+    bends = interpolation_errors(solution.path, problem.size)[0]
+    return CyclePoint(solution, way, values[0], errors[0], bends, float(line.residual[0]))
 
 
 def reversed_way(point: CyclePoint) -> CyclePoint:
@@ -139,14 +156,16 @@ def follow_cycles(
         now = points[-1]
         if now.value in ends and (now.value == ends[0]) == (now.way.extra[0, 1] < 0.0):
             return CycleBranch(points, (begin, RANGE))
+        n = now.solution.path.stages.shape[1]
         taken, missed = step_along(problem, now, lift, size, ends)
         if taken is None or missed > _MISSED:
             size *= 0.5
-            if size < _SMALLEST:
+            if size < _COARSE * steps.largest and 2 * n <= _MOST:
+                points[-1], size = remeshed_point(problem, now, 2 * n), _FIRST * steps.largest
+            elif size < _SMALLEST:
                 return CycleBranch(points, (begin, NO_CONVERGENCE))
             continue
-        n = now.solution.path.stages.shape[1]
-        if not taken.resolved and 2 * n <= _MOST:
+        if not taken.fine and 2 * n <= _MOST:
             points[-1] = remeshed_point(problem, now, 2 * n)
             continue
         end = _end(problem, points, taken, size)
@@ -163,7 +182,8 @@ def step_along(
     problem: Problem, now: CyclePoint, lift: Float[np.ndarray, " d"], size: float, ends: tuple[float, float]
 ) -> tuple[CyclePoint | None, float]:
     """The point a step further, or at the end of the range, None where there is none; how far Newton went, of the step."""
-    now = remeshed_point(problem, now, now.solution.path.stages.shape[1])
+    if not now.even:
+        now = _on_even_mesh(problem, now, lift)
     guess = moved(problem, now.solution, combination([(size, now.way)]))
     at_end = not ends[0] < float(guess.values[0, 0]) < ends[1]
     if at_end:
@@ -173,21 +193,29 @@ def step_along(
         guess = moved(problem, now.solution, combination([(size, now.way)]))
         guess.values[0, 0] = edge
 
-    def hold(line: Linearised, lanes: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
+    def hold(line: NewtonSystem, lanes: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
         return [fixed(line, 0) if at_end else now.way]
 
     corrected = correct(problem, guess, closure(problem, lift[None]), hold)
     if not corrected.converged[0]:
         return None, np.inf
-    missed = difference(problem, corrected.solution, guess)
+    solution = corrected.solution._replace(values=guess.values) if at_end else corrected.solution
+    missed = difference(problem, solution, guess)
     try:
-        taken = point_at(problem, corrected.solution, lift, now.way)
+        taken = point_at(problem, solution, lift, now.way)
     except np.linalg.LinAlgError:
         return None, np.inf
     if inner(guess.path, taken.way, now.way)[0] < _BENT:
         return None, np.inf
     far = np.sqrt(inner(guess.path, missed, missed)[0])
     return taken._replace(step=size), float(far / max(size, _SMALLEST))
+
+
+def _on_even_mesh(problem: Problem, point: CyclePoint, lift: Float[np.ndarray, " d"]) -> CyclePoint:
+    """The point on a mesh adapted to it, the point as it is where Newton does not come back."""
+    again = remeshed_point(problem, point, point.solution.path.stages.shape[1])
+    corrected = correct(problem, again.solution, closure(problem, lift[None]), lambda line, lanes: [again.way])
+    return again._replace(solution=corrected.solution) if corrected.converged[0] else point
 
 
 def difference(problem: Problem, one: Solution, other: Solution) -> Variation:
@@ -239,5 +267,5 @@ def invariants(problem: Problem, solution: Solution) -> Float[np.ndarray, " k"]:
     states = path.stages[0] / problem.size
     means = np.sum(weights * states, axis=(0, 1))
     spreads = np.sqrt(np.sum(weights * (states - means) ** 2, axis=(0, 1)))
-    skew = np.cbrt(np.sum(weights * (states - means) ** 3, axis=(0, 1)))
+    skew = np.sum(weights * (states - means) ** 3, axis=(0, 1))
     return np.concatenate([solution.values[0] / problem.widths, np.log(solution.duration), means, spreads, skew])

@@ -15,8 +15,8 @@ from jaxtyping import Complex, Float, Int
 from scipy.linalg import expm, schur
 
 from jaxnh.orbits.collocation.equations import (
-    Boundary,
-    Linearised,
+    BoundaryConditions,
+    NewtonSystem,
     Problem,
     Solution,
     Variation,
@@ -32,7 +32,7 @@ _DURATION = -1  # of what `fixed` counts
 _FLOOR = 1e-13
 
 
-class Saddle(NamedTuple):
+class SaddlePoint(NamedTuple):
     """An equilibrium at parameters, in sizes of the motion.
 
     Attributes:
@@ -57,11 +57,11 @@ class Homoclinic(NamedTuple):
     """
 
     solution: Solution
-    saddle: Saddle
+    saddle: SaddlePoint
     error: float
 
 
-def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np.ndarray, " q"]) -> Saddle:
+def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np.ndarray, " q"]) -> SaddlePoint:
     """The equilibrium near a state, by Newton.
 
     Raises:
@@ -82,11 +82,13 @@ def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np
     _, left, s = schur(jacobian.T, sort="lhp")
     _, right, u = schur(jacobian.T, sort="rhp")
     if not 0 < s < len(size) or s + u != len(size):
-        raise ValueError(f"the equilibrium {state[0].tolist()} is no saddle, its eigenvalues are {eigenvalues.tolist()}")
-    return Saddle(state[0], eigenvalues, left[:, :s].T, right[:, :u].T)
+        raise ValueError(
+            f"the equilibrium {state[0].tolist()} is no saddle, its eigenvalues are {eigenvalues.tolist()}"
+        )
+    return SaddlePoint(state[0], eigenvalues, left[:, :s].T, right[:, :u].T)
 
 
-def projections(problem: Problem, guess: Saddle) -> BoundaryOf:
+def projections(problem: Problem, guess: SaddlePoint) -> BoundaryOf:
     """The projection boundary conditions of a homoclinic orbit to the saddle near one; of lanes the same."""
 
     def conditions(ends: Float[np.ndarray, "2 d"], values: Float[np.ndarray, " q"]) -> Float[np.ndarray, " d"]:
@@ -95,10 +97,12 @@ def projections(problem: Problem, guess: Saddle) -> BoundaryOf:
         bases = _aligned(saddle.stable, guess.stable), _aligned(saddle.unstable, guess.unstable)
         return np.concatenate([bases[0] @ first, bases[1] @ last])
 
-    def boundary(solution: Solution, lanes: Int[np.ndarray, " lanes"]) -> Boundary:
-        rows = [_boundary_of_lane(problem, guess, conditions, path, values) for path, values in zip(
-            solution.path.ends[:, [0, -1]], solution.values, strict=True)]
-        return Boundary(*(np.stack(leaves) for leaves in zip(*rows, strict=True)))
+    def boundary(solution: Solution, lanes: Int[np.ndarray, " lanes"]) -> BoundaryConditions:
+        rows = [
+            _boundary_of_lane(problem, guess, conditions, path, values)
+            for path, values in zip(solution.path.ends[:, [0, -1]], solution.values, strict=True)
+        ]
+        return BoundaryConditions(*(np.stack(leaves) for leaves in zip(*rows, strict=True)))
 
     return boundary
 
@@ -129,28 +133,32 @@ def homoclinic_orbit(
     value = corrected.solution.values[0, 0]
     error = abs(value - longer.values[0, 0]) + abs(longer.values[0, 0] - solution.values[0, 0])
     rounding = (corrected.extra_rounding[0, 1] + _FLOOR) * problem.widths[0]
-    return Homoclinic(corrected.solution, saddle_at(problem, saddle.state, corrected.solution.values[0]), error + rounding)
+    return Homoclinic(
+        corrected.solution, saddle_at(problem, saddle.state, corrected.solution.values[0]), error + rounding
+    )
 
 
-def hold_duration(line: Linearised, lanes: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
+def hold_duration(line: NewtonSystem, lanes: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
     """The direction of the duration, which is then known."""
     return [fixed(line, _DURATION)]
 
 
-def _solve(problem: Problem, guess: Solution, saddle: Saddle, n: int) -> Solution:
+def _solve(problem: Problem, guess: Solution, saddle: SaddlePoint, n: int) -> Solution:
     corrected = on_adapted_mesh(problem, guess, projections(problem, saddle), hold_duration, n, cyclic=False)
     if not corrected.converged[0]:
-        raise ValueError("Newton comes to no homoclinic orbit; begin with a cycle of longer duration, or more intervals")
+        raise ValueError(
+            "Newton comes to no homoclinic orbit; begin with a cycle of longer duration, or more intervals"
+        )
     return corrected.solution
 
 
 def _boundary_of_lane(
     problem: Problem,
-    guess: Saddle,
+    guess: SaddlePoint,
     conditions: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ends: Float[np.ndarray, "2 d"],
     values: Float[np.ndarray, " q"],
-) -> Boundary:
+) -> BoundaryConditions:
     """The conditions at one solution; derivatives in parameters are central differences."""
     saddle, d = saddle_at(problem, guess.state, values), len(problem.size)
     stable, unstable = _aligned(saddle.stable, guess.stable), _aligned(saddle.unstable, guess.unstable)
@@ -162,7 +170,7 @@ def _boundary_of_lane(
         shift[k] = _DIFFERENCE * width
         change = conditions(ends, values + shift) - conditions(ends, values - shift)
         extra[:, 1 + k] = change / (2.0 * _DIFFERENCE)
-    return Boundary(first, last, extra, -conditions(ends, values))
+    return BoundaryConditions(first, last, extra, -conditions(ends, values))
 
 
 def _aligned(rows: Float[np.ndarray, "k d"], reference: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k d"]:
@@ -180,7 +188,7 @@ def _cut_open(cycle: Solution, state: Float[np.ndarray, " d"], size: Float[np.nd
     return cycle._replace(path=whole)
 
 
-def _extended(problem: Problem, solution: Solution, saddle: Saddle) -> Solution:
+def _extended(problem: Problem, solution: Solution, saddle: SaddlePoint) -> Solution:
     """The path with longer rests at both ends, where it goes exponentially to the saddle."""
     path, duration = solution.path, solution.duration[0]
     more, count = 0.5 * (_LONGER - 1.0), max(4, path.stages.shape[1] // 8)

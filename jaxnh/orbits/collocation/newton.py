@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.orbits.collocation.equations import (
-    Boundary,
-    Linearised,
+    BoundaryConditions,
+    NewtonSystem,
     Problem,
     Solution,
     Variation,
@@ -30,14 +30,14 @@ _REMESHINGS = 3
 
 Tree = TypeVar("Tree")
 
-BoundaryOf = Callable[[Solution, Int[np.ndarray, " lanes"]], Boundary]
-"""Boundary conditions at solutions of lanes with these numbers."""
+BoundaryOf = Callable[[Solution, Int[np.ndarray, " lanes"]], BoundaryConditions]
+"""BoundaryConditions conditions at solutions of lanes with these numbers."""
 
-Hold = Callable[[Linearised, Int[np.ndarray, " lanes"]], Sequence[Variation]]
+Hold = Callable[[NewtonSystem, Int[np.ndarray, " lanes"]], Sequence[Variation]]
 """Directions, one a parameter, to which steps of lanes with these numbers are orthogonal."""
 
 
-class Corrected(NamedTuple):
+class NewtonSolution(NamedTuple):
     """Solutions that Newton has come to.
 
     Attributes:
@@ -66,7 +66,7 @@ def put(tree: Any, lanes: Int[np.ndarray, " some"], new: Any) -> None:
         leaf[lanes] = value
 
 
-def correct(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold) -> Corrected:
+def correct(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold) -> NewtonSolution:
     """The solutions near guesses.
 
     Each step has no share of the shift along the orbit, which is the integral phase condition with the iterate before
@@ -80,7 +80,11 @@ def correct(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold)
     """
     solution = jax.tree.map(np.array, guess)
     lanes = len(solution.duration)
-    last, stalled, extra = np.full(lanes, np.inf), np.zeros(lanes, int), np.full((lanes, 1 + len(problem.widths)), np.inf)
+    last, stalled, extra = (
+        np.full(lanes, np.inf),
+        np.zeros(lanes, int),
+        np.full((lanes, 1 + len(problem.widths)), np.inf),
+    )
     converged, residual, open_ = np.zeros(lanes, bool), np.full(lanes, np.nan), np.arange(lanes)
     for _ in range(_STEPS):
         part = take(solution, open_)
@@ -104,17 +108,17 @@ def correct(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold)
         open_ = open_[good & ~at_rest]
         if not len(open_):
             break
-    return Corrected(solution, converged, last, extra, residual)
+    return NewtonSolution(solution, converged, last, extra, residual)
 
 
-def _lane_by_lane(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold) -> Corrected:
+def _lane_by_lane(problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold) -> NewtonSolution:
     """The same where the equations of one lane are singular."""
 
-    def one(lane: int) -> Corrected:
-        def own_boundary(solution: Solution, _: Int[np.ndarray, " lanes"]) -> Boundary:
+    def one(lane: int) -> NewtonSolution:
+        def own_boundary(solution: Solution, _: Int[np.ndarray, " lanes"]) -> BoundaryConditions:
             return boundary(solution, np.array([lane]))
 
-        def own_hold(line: Linearised, _: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
+        def own_hold(line: NewtonSystem, _: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
             return hold(line, np.array([lane]))
 
         return correct(problem, take(guess, [lane]), own_boundary, own_hold)
@@ -130,7 +134,7 @@ def remeshed(problem: Problem, solution: Solution, n: int | None = None, *, cycl
 
 def on_adapted_mesh(
     problem: Problem, guess: Solution, boundary: BoundaryOf, hold: Hold, n: int, *, cyclic: bool = True
-) -> Corrected:
+) -> NewtonSolution:
     """The solutions near guesses on meshes of n intervals, adapted to them a few times."""
     if guess.path.stages.shape[1] != n:
         guess = remeshed(problem, guess, n, cyclic=cyclic)
@@ -140,6 +144,8 @@ def on_adapted_mesh(
         if not len(lanes):
             break
         on_new = remeshed(problem, take(corrected.solution, lanes), cyclic=cyclic)
-        again = correct(problem, on_new, lambda part, of: boundary(part, lanes[of]), lambda line, of: hold(line, lanes[of]))
+        again = correct(
+            problem, on_new, lambda part, of: boundary(part, lanes[of]), lambda line, of: hold(line, lanes[of])
+        )
         put(corrected, lanes[again.converged], take(again, again.converged))
     return corrected

@@ -6,6 +6,7 @@ On every interval a path is the polynomial of degree m through its value at the 
 from __future__ import annotations
 
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -45,11 +46,11 @@ def gauss_rule(m: int) -> GaussRule:
     integrals = (points[:, None] ** (powers + 1) / (powers + 1)) @ np.linalg.inv(points[:, None] ** powers)
     nodes = np.concatenate([[0.0], points])
     differences = nodes[:, None] - nodes + np.eye(m + 1)
-    highest = float(np.prod(np.arange(1, m + 1))) / np.prod(differences, axis=1)
+    highest = math.factorial(m) / np.prod(differences, axis=1)
     return GaussRule(points, 0.5 * weights, integrals, lagrange(m, np.ones(1))[0], highest)
 
 
-def lagrange(m: int, at: Float[np.ndarray, "..."]) -> Float[np.ndarray, "... m+1"]:
+def lagrange(m: int, at: Float[np.ndarray, ...]) -> Float[np.ndarray, "... m+1"]:
     """Shares of the values at 0, c_1, …, c_m in the value of their polynomial at places in [0, 1]."""
     nodes = np.concatenate([[0.0], 0.5 * (np.polynomial.legendre.leggauss(m)[0] + 1.0)])
     shares = np.ones((*at.shape, m + 1))
@@ -157,18 +158,8 @@ def adapted_mesh(
         n: number of intervals; by default as many as there are.
         cyclic: whether the last interval is a neighbour of the first.
     """
-    lanes, old, m = path.stages.shape[:3]
-    n, steps = old if n is None else n, path.steps
-    highest = np.tensordot(path.nodes / size, gauss_rule(m).highest, axes=(2, 0)) / steps[..., None] ** m
-    jump = np.linalg.norm(np.diff(highest, axis=1, append=highest[:, :1]), axis=2)
-    distance = 0.5 * (steps + np.roll(steps, -1, 1))
-    after = jump / distance
-    if not cyclic:
-        after[:, -1] = after[:, -2]
-    before = np.roll(after, 1, 1)
-    if not cyclic:
-        before[:, 0] = after[:, 0]
-    density = np.maximum(after, before) ** (1.0 / (m + 1))
+    lanes, n = len(path.mesh), path.stages.shape[1] if n is None else n
+    density, steps = _mesh_density(path, size, cyclic), path.steps
     for _ in range(_SMOOTHING):
         density = 0.5 * density + 0.25 * (np.roll(density, 1, 1) + np.roll(density, -1, 1))
     mean = np.sum(density * steps, axis=1, keepdims=True)
@@ -179,6 +170,28 @@ def adapted_mesh(
         mesh[lane] = np.interp(np.linspace(0.0, total[-1], n + 1), total, path.mesh[lane])
     mesh[:, 0], mesh[:, -1] = 0.0, 1.0
     return mesh
+
+
+def interpolation_errors(path: Path, size: Float[np.ndarray, " d"]) -> Float[np.ndarray, "lanes n"]:
+    """Errors of the polynomials of closed paths between their ends, in sizes, as derivatives of degree m + 1 tell."""
+    m = path.stages.shape[2]
+    nodes = np.concatenate([[0.0], gauss_rule(m).points])
+    largest = np.abs(np.prod(np.linspace(0.0, 1.0, 64)[:, None] - nodes, axis=1)).max() / math.factorial(m + 1)
+    return largest * (_mesh_density(path, size, True) * path.steps) ** (m + 1)
+
+
+def _mesh_density(path: Path, size: Float[np.ndarray, " d"], cyclic: bool) -> Float[np.ndarray, "lanes n"]:
+    """Roots of degree m + 1 of the derivatives of this degree, in sizes, of each interval."""
+    m, steps = path.stages.shape[2], path.steps
+    highest = np.tensordot(path.nodes / size, gauss_rule(m).highest, axes=(2, 0)) / steps[..., None] ** m
+    jump = np.linalg.norm(np.diff(highest, axis=1, append=highest[:, :1]), axis=2)
+    after = jump / (0.5 * (steps + np.roll(steps, -1, 1)))
+    if not cyclic:
+        after[:, -1] = after[:, -2]
+    before = np.roll(after, 1, 1)
+    if not cyclic:
+        before[:, 0] = after[:, 0]
+    return np.maximum(after, before) ** (1.0 / (m + 1))
 
 
 def _places(mesh: Float[np.ndarray, "lanes n+1"], m: int) -> Float[np.ndarray, "lanes n m"]:
