@@ -111,7 +111,7 @@ def solutions(
     """All solutions of A_i y_i + B_i y_{i+1} + C_i x = r_i with k unknowns x, which all equations know.
 
     Returns:
-        One of them, y and x, (..., n, m) and (..., k), the least in (y_0, x); and k directions, in which all others lie.
+        One of them, y and x, (..., n, m) and (..., k), the least in (y_0, x); and k directions to all others.
     """
     k, (last, known) = columns.shape[-1], _eliminated_sides(cycle, right)
     sides = [_eliminated_sides(cycle, columns[..., j]) for j in range(k)]

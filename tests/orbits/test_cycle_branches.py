@@ -185,7 +185,7 @@ def test_homoclinic_orbit_of_lorenz():
 
 
 def test_what_is_no_saddle_is_said():
-    with pytest.raises(ValueError, match="no equilibrium near|is no saddle"):
+    with pytest.raises(ValueError, match=r"no equilibrium near|is no saddle"):
         saddle_at(
             problem_of(first_order(hopf, {"mu": 0.1}, ("mu",)), ("mu",), (0.5, 0.5)), np.zeros(2), np.array([0.1])
         )

@@ -1,11 +1,12 @@
 """Branches of cycles by collocation: all that orbits lead to, with their bifurcations and doubled cycles.
 
-Cycles are boundary-value problems of the flow, not orbits of its return map: errors grow over one interval of a mesh, not
-over a return. Results have their points on the section, or at strobes, as those of the map.
+Cycles are boundary-value problems of the flow, not orbits of its return map: errors grow over one interval of a mesh,
+not over a return. Results have their points on the section, or at strobes, as those of the map.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import NamedTuple
@@ -113,7 +114,7 @@ def _follow_on(
     steps: StepControl,
     batch: LaneBatch,
 ) -> int:
-    """Follow the branch of a cycle and those of doubled ones, where they are not known; how many signs led to nothing."""
+    """Follow the branch of a cycle and those of doubled ones, where they are new; how many signs led to nothing."""
     begun = _first_point(problem, guess, _lift(batch, guess))
     if begun is None or _is_known(problem, followed, begun, returns):
         return 0
@@ -157,7 +158,7 @@ def _is_known(problem: Problem, followed: Sequence[FollowedCycles], point: Cycle
         if known.returns != returns:
             continue
         points = known.branch.points
-        for before, after in zip(points[:-1], points[1:], strict=True):
+        for before, after in itertools.pairwise(points):
             low, high = sorted((before.value, after.value))
             if not low <= point.value <= high or low == high:
                 continue

@@ -39,7 +39,7 @@ class BranchesOptions(Options):
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
     method: Literal["auto", "shooting", "collocation"] = Field(
         default="auto",
-        description="Orbits of the return map by shooting, or cycles of the flow by collocation, which no expansion loses; "
+        description="Orbits of the return map by shooting, or cycles of the flow by collocation, however unstable; "
         "auto: by shooting, and by collocation where that loses a branch of a flow without a clock",
     )
     step: float = Field(

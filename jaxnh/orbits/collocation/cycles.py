@@ -93,7 +93,7 @@ def floquet_blocks(
 def cycle_multipliers(
     problem: Problem, solution: Solution, blocks: Float[np.ndarray, "lanes n d d"]
 ) -> tuple[Complex[np.ndarray, "lanes e"], Float[np.ndarray, "lanes e"]]:
-    """Multipliers, and their errors as Liouville's formula tells: the logarithms' sum is the integral of the divergence.
+    """Multipliers, and their errors by Liouville's formula: the logarithms' sum is the integral of the divergence.
 
     Intervals that are long for a fast rate change the sign of what they do to it, or stop its growth; the error is then
     as large as what is missing.

@@ -89,7 +89,7 @@ class Variation(NamedTuple):
 
 
 class BoundaryConditions(NamedTuple):
-    """BoundaryConditions conditions of lanes, linearised, in units of sizes and widths.
+    """Boundary conditions of lanes, linearised, in units of sizes and widths.
 
     Attributes:
         first, last: derivatives in the states at both ends, (lanes, d, d).

@@ -21,4 +21,4 @@ def point_rates(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, 
         return jnp.stack(chart.lower(y, flow.rhs(t, y, own)))
 
     values = jnp.stack([jnp.asarray(p[name], u.dtype) for name in names]) if names else jnp.zeros(0, u.dtype)
-    return FieldValues(rate(u, values), *jax.jacfwd(rate, (0, 1))(u, values))
+    return FieldValues(rate(u, values), *jax.jacfwd(rate, (0, 1))(u, values))  # pyright: ignore[reportArgumentType]

@@ -1,7 +1,7 @@
 """Branches of cycles over a parameter by pseudo-arclength, on meshes that are adapted on the way. Host code.
 
-Each step goes along the direction of the branch and comes back to it by Newton, orthogonally (Keller, in Applications of
-Bifurcation Theory, 1977, 359). Lengths are those of `equations.inner`: of the orbit in sizes of the motion, of the
+Each step goes along the direction of the branch and comes back to it by Newton, orthogonally (Keller, in Applications
+of Bifurcation Theory, 1977, 359). Lengths are those of `equations.inner`: of the orbit in sizes of the motion, of the
 logarithm of its duration, and of the parameter in the width of its range.
 """
 
@@ -117,7 +117,7 @@ class CycleBranch(NamedTuple):
 def point_at(
     problem: Problem, solution: Solution, lift: Float[np.ndarray, " d"], along: Variation | None
 ) -> CyclePoint:
-    """The point of a branch at a cycle, with the direction that has a positive share of another one or the parameter."""
+    """The point of a branch at a cycle, with the direction with a positive share of another one or the parameter."""
     line = linearise(problem, solution, closure(problem, lift[None])(solution, np.zeros(1, int)))
     phase = phase_condition(problem, line)
     way = direction_without(solution.path, line, [phase, phase])
@@ -168,10 +168,8 @@ def follow_cycles(
         if not taken.fine and 2 * n <= _MOST:
             points[-1] = remeshed_point(problem, now, 2 * n)
             continue
-        end = _end(problem, points, taken, size)
-        if end == COLLAPSED:
-            return CycleBranch(points, (begin, end))
-        points.append(taken)
+        if (end := _end(problem, points, taken, size)) != COLLAPSED:
+            points.append(taken)
         if end is not None:
             return CycleBranch(points, (begin, end))
         size = min(size * min(_GROWTH, max(0.5, _WANTED / max(missed, _SMALLEST))), steps.largest)
@@ -181,7 +179,7 @@ def follow_cycles(
 def step_along(
     problem: Problem, now: CyclePoint, lift: Float[np.ndarray, " d"], size: float, ends: tuple[float, float]
 ) -> tuple[CyclePoint | None, float]:
-    """The point a step further, or at the end of the range, None where there is none; how far Newton went, of the step."""
+    """The point a step further, or at the end of the range, or None; and how far Newton went, of the step."""
     if not now.even:
         now = _on_even_mesh(problem, now, lift)
     guess = moved(problem, now.solution, combination([(size, now.way)]))
@@ -262,7 +260,7 @@ def _collapses(problem: Problem, now: Solution, taken: Solution) -> bool:
 
 
 def invariants(problem: Problem, solution: Solution) -> Float[np.ndarray, " k"]:
-    """Numbers that tell cycles apart, whatever point of them comes first: parameters, duration, and moments of states."""
+    """Numbers that tell cycles apart, whatever point comes first: parameters, duration, and moments of states."""
     path, weights = solution.path, solution.path.measure[0, ..., None]
     states = path.stages[0] / problem.size
     means = np.sum(weights * states, axis=(0, 1))

@@ -1,4 +1,4 @@
-"""Orbits homoclinic to saddles and saddle-foci, by projection boundary conditions, from cycles of long duration. Host code.
+"""Orbits homoclinic to saddles and saddle-foci by projection boundary conditions, from long cycles. Host code.
 
 A path of finite duration begins in the unstable eigenspace of the equilibrium and ends in its stable one (Beyn, IMA J.
 Numer. Anal. 10 (1990) 379; Champneys, Kuznetsov and Sandstede, Int. J. Bifurcation Chaos 6 (1996) 867). The equilibrium
@@ -79,13 +79,12 @@ def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np
     jacobian = np.asarray(problem.field(state, zero, values[None]).jacobian)[0] * (size / size[:, None])
     eigenvalues = np.linalg.eigvals(jacobian).astype(complex)
     eigenvalues = eigenvalues[np.lexsort((eigenvalues.imag, -eigenvalues.real))]
-    _, left, s = schur(jacobian.T, sort="lhp")
-    _, right, u = schur(jacobian.T, sort="rhp")
-    if not 0 < s < len(size) or s + u != len(size):
+    stable, unstable = (_eigenspace(jacobian.T, side).T for side in ("lhp", "rhp"))
+    if not 0 < len(stable) < len(size) or len(stable) + len(unstable) != len(size):
         raise ValueError(
             f"the equilibrium {state[0].tolist()} is no saddle, its eigenvalues are {eigenvalues.tolist()}"
         )
-    return SaddlePoint(state[0], eigenvalues, left[:, :s].T, right[:, :u].T)
+    return SaddlePoint(state[0], eigenvalues, stable, unstable)
 
 
 def projections(problem: Problem, guess: SaddlePoint) -> BoundaryOf:
@@ -121,11 +120,11 @@ def homoclinic_orbit(
     Raises:
         ValueError: there is no saddle near the state, or Newton comes to no homoclinic orbit.
     """
-    n = cycle.path.stages.shape[1] if n is None else n
+    intervals = cycle.path.stages.shape[1] if n is None else n
     saddle = saddle_at(problem, near, cycle.values[0])
-    solution = _solve(problem, _cut_open(cycle, saddle.state, problem.size), saddle, n)
+    solution = _solve(problem, _cut_open(cycle, saddle.state, problem.size), saddle, intervals)
     saddle = saddle_at(problem, saddle.state, solution.values[0])
-    longer = _solve(problem, _extended(problem, solution, saddle), saddle, n)
+    longer = _solve(problem, _extended(problem, solution, saddle), saddle, intervals)
     finer = longer._replace(path=on_mesh(longer.path, halved(longer.path.mesh)))
     corrected = correct(problem, finer, projections(problem, saddle), hold_duration)
     if not corrected.converged[0]:
@@ -173,6 +172,12 @@ def _boundary_of_lane(
     return BoundaryConditions(first, last, extra, -conditions(ends, values))
 
 
+def _eigenspace(matrix: Float[np.ndarray, "d d"], side: str) -> Float[np.ndarray, "d k"]:
+    """An orthonormal basis of the eigenspace of one half plane, "lhp" or "rhp", as columns."""
+    _, basis, count = schur(matrix, sort=side)  # pyright: ignore[reportAssignmentType]
+    return np.asarray(basis)[:, :count]
+
+
 def _aligned(rows: Float[np.ndarray, "k d"], reference: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k d"]:
     """The basis of a space of rows that goes smoothly with the space, whatever basis it comes with."""
     return np.linalg.solve(rows @ reference.T, rows)
@@ -197,10 +202,9 @@ def _extended(problem: Problem, solution: Solution, saddle: SaddlePoint) -> Solu
     mesh = np.linspace(0.0, more, count + 1)
     places = Path(mesh[None], np.zeros((1, count + 1, 1)), path.stages[:, :1].repeat(count, axis=1)).places[0]
 
-    def rest(times: np.ndarray, end: np.ndarray, sort: str) -> np.ndarray:
+    def rest(times: np.ndarray, end: np.ndarray, side: str) -> np.ndarray:
         """States at times after an end near the saddle, in an eigenspace of it."""
-        _, basis, k = schur(jacobian, sort=sort)
-        basis = basis[:, :k]
+        basis = _eigenspace(jacobian, side)
         flow = expm(times[..., None, None] * (basis.T @ jacobian @ basis))
         gone = flow @ (basis.T @ ((end - saddle.state) / size))
         return saddle.state + size * (gone @ basis.T)

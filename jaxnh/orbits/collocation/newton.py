@@ -31,7 +31,7 @@ _REMESHINGS = 3
 Tree = TypeVar("Tree")
 
 BoundaryOf = Callable[[Solution, Int[np.ndarray, " lanes"]], BoundaryConditions]
-"""BoundaryConditions conditions at solutions of lanes with these numbers."""
+"""Boundary conditions at solutions of lanes with these numbers."""
 
 Hold = Callable[[NewtonSystem, Int[np.ndarray, " lanes"]], Sequence[Variation]]
 """Directions, one a parameter, to which steps of lanes with these numbers are orthogonal."""
@@ -115,15 +115,21 @@ def _lane_by_lane(problem: Problem, guess: Solution, boundary: BoundaryOf, hold:
     """The same where the equations of one lane are singular."""
 
     def one(lane: int) -> NewtonSolution:
-        def own_boundary(solution: Solution, _: Int[np.ndarray, " lanes"]) -> BoundaryConditions:
-            return boundary(solution, np.array([lane]))
-
-        def own_hold(line: NewtonSystem, _: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
-            return hold(line, np.array([lane]))
-
-        return correct(problem, take(guess, [lane]), own_boundary, own_hold)
+        return correct(problem, take(guess, [lane]), *_of_lanes(boundary, hold, np.array([lane])))
 
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *map(one, range(len(guess.duration))))
+
+
+def _of_lanes(boundary: BoundaryOf, hold: Hold, lanes: Int[np.ndarray, " some"]) -> tuple[BoundaryOf, Hold]:
+    """The conditions of a subset of lanes, which are numbered anew."""
+
+    def own_boundary(solution: Solution, numbers: Int[np.ndarray, " lanes"]) -> BoundaryConditions:
+        return boundary(solution, lanes[numbers])
+
+    def own_hold(line: NewtonSystem, numbers: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
+        return hold(line, lanes[numbers])
+
+    return own_boundary, own_hold
 
 
 def remeshed(problem: Problem, solution: Solution, n: int | None = None, *, cyclic: bool = True) -> Solution:
@@ -144,8 +150,6 @@ def on_adapted_mesh(
         if not len(lanes):
             break
         on_new = remeshed(problem, take(corrected.solution, lanes), cyclic=cyclic)
-        again = correct(
-            problem, on_new, lambda part, of: boundary(part, lanes[of]), lambda line, of: hold(line, lanes[of])
-        )
+        again = correct(problem, on_new, *_of_lanes(boundary, hold, lanes))
         put(corrected, lanes[again.converged], take(again, again.converged))
     return corrected

@@ -1,4 +1,4 @@
-"""Piecewise polynomials on meshes of their own, side by side: values, derivatives, and meshes that suit them. Host code.
+"""Piecewise polynomials on meshes of their own, side by side: values, and meshes that suit them. Host code.
 
 On every interval a path is the polynomial of degree m through its value at the beginning and those at m Gauss points.
 """
@@ -120,8 +120,8 @@ def path_through(
 ) -> tuple[Path, float]:
     """Return a path of one lane through states at times, linear between them, and its duration.
 
-    The intervals of its mesh are even in the share of the time, of the length in coordinates' ranges and of the number of
-    states together: steps of an integrator are short where the path needs it.
+    The intervals of its mesh are even in the share of the time, of the length in coordinates' ranges and of the number
+    of states together: steps of an integrator are short where the path needs it.
     """
     duration, extent = float(times[-1] - times[0]), np.ptp(states, axis=0)
     share = (times - times[0]) / duration
@@ -148,7 +148,7 @@ def halved(mesh: Float[np.ndarray, "lanes n+1"]) -> Float[np.ndarray, "lanes 2n+
 def adapted_mesh(
     path: Path, size: Float[np.ndarray, " d"], n: int | None = None, *, cyclic: bool = True
 ) -> Float[np.ndarray, "lanes n+1"]:
-    """Meshes on which the derivatives of degree m + 1 are spread evenly (de Boor, Lecture Notes in Math. 363 (1973) 12).
+    """Meshes on which the derivatives of degree m + 1 are spread evenly (de Boor, Lect. Notes Math. 363 (1973) 12).
 
     Derivatives of degree m are constant in an interval; the next ones are estimated by their jumps.
 
@@ -158,16 +158,16 @@ def adapted_mesh(
         n: number of intervals; by default as many as there are.
         cyclic: whether the last interval is a neighbour of the first.
     """
-    lanes, n = len(path.mesh), path.stages.shape[1] if n is None else n
+    lanes, intervals = len(path.mesh), path.stages.shape[1] if n is None else n
     density, steps = _mesh_density(path, size, cyclic), path.steps
     for _ in range(_SMOOTHING):
         density = 0.5 * density + 0.25 * (np.roll(density, 1, 1) + np.roll(density, -1, 1))
     mean = np.sum(density * steps, axis=1, keepdims=True)
     density = np.maximum(density, _FLOOR * np.where(mean > 0.0, mean, 1.0))
-    mesh = np.empty((lanes, n + 1))
+    mesh = np.empty((lanes, intervals + 1))
     for lane in range(lanes):
         total = np.concatenate([[0.0], np.cumsum(density[lane] * steps[lane])])
-        mesh[lane] = np.interp(np.linspace(0.0, total[-1], n + 1), total, path.mesh[lane])
+        mesh[lane] = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, path.mesh[lane])
     mesh[:, 0], mesh[:, -1] = 0.0, 1.0
     return mesh
 
