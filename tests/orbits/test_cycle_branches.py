@@ -184,6 +184,31 @@ def test_homoclinic_orbit_of_lorenz():
     assert orbit.error < 1e-9
 
 
+def pulse(loss=0.0):
+    """x″ = x − x² + λ x′ has the pulse 3/2 sech²(t/2) at λ = 0 alone; it drives a focus that winds into the saddle."""
+
+    def rhs(y, t):
+        x, v, u, w = y
+        return v, x - x * x + loss * v, -0.5 * u - 2.0 * w + x * v, 2.0 * u - 0.5 * w
+
+    return {"rhs": rhs, "coordinates": ("x", "v", "u", "w")}
+
+
+def test_homoclinic_orbit_to_a_saddle_focus():
+    """The pulse in closed form at λ = 0, within the error, from a path that is the pulse itself and λ beside it."""
+    problem = problem_of(first_order(pulse, {"loss": 0.0}, ("loss",)), ("loss",), (1.5, 0.6, 0.3, 0.3), (0.1,))
+    times = np.linspace(-9.0, 9.0, 200)
+    x = 1.5 / np.cosh(times / 2) ** 2
+    states = np.stack([x, -x * np.tanh(times / 2), 0 * x, 0 * x], axis=1)
+    path, duration = path_through(times, states, 60)
+    orbit = homoclinic_orbit(problem, Solution(path, np.array([duration]), np.array([[0.01]])), np.zeros(4))
+    assert np.allclose(np.sort_complex(orbit.saddle.eigenvalues), [-1.0, -0.5 - 2j, -0.5 + 2j, 1.0])
+    assert abs(orbit.solution.values[0, 0]) <= orbit.error < 1e-6
+    ends = orbit.solution.path.ends[0]
+    energy = ends[:, 1] ** 2 / 2 - ends[:, 0] ** 2 / 2 + ends[:, 0] ** 3 / 3  # zero on the pulse
+    assert np.abs(energy).max() < 1e-6
+
+
 def test_what_is_no_saddle_is_said():
     with pytest.raises(ValueError, match=r"no equilibrium near|is no saddle"):
         saddle_at(
