@@ -115,6 +115,31 @@ def underdetermined_square(
     return least, null, other, np.concatenate([wide, null[..., None, :]], axis=-2)
 
 
+def solutions(
+    cycle: Cyclic, right: Float[np.ndarray, "... n m"], columns: Float[np.ndarray, "... n m k"]
+) -> tuple[tuple[np.ndarray, np.ndarray], list[tuple[np.ndarray, np.ndarray]]]:
+    """All solutions of A_i y_i + B_i y_{i+1} + C_i x = r_i with k unknowns x, which all equations know.
+
+    Returns:
+        One of them, y and x, (..., n, m) and (..., k), the least in (y_0, x); and k directions to all others.
+    """
+    k, (last, known) = columns.shape[-1], _eliminated_sides(cycle, right)
+    sides = [_eliminated_sides(cycle, columns[..., j]) for j in range(k)]
+    wide = np.concatenate([cycle.closed, np.stack([side for side, _ in sides], axis=-1)], axis=-1)
+    left, singular, rows = np.linalg.svd(wide, full_matrices=True)
+    least = np.swapaxes(left, -1, -2) @ last[..., None] / singular[..., None]
+    least = (np.swapaxes(rows[..., : -k or None, :], -1, -2) @ least)[..., 0]
+
+    def whole(first: np.ndarray, known: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        x, m = first[..., first.shape[-1] - k :], first.shape[-1] - k
+        for j, (_, column) in enumerate(sides):
+            known = [side - x[..., j : j + 1] * c for side, c in zip(known, column, strict=True)]
+        return _substitute_back(cycle, first[..., :m], known), x
+
+    none = [np.zeros_like(side) for side in known]
+    return whole(least, known), [whole(rows[..., -1 - j, :], none) for j in range(k)]
+
+
 def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
     """y of r = 0, of length one at the first point, where there is one; elsewhere that of the nearest `closed`."""
     first = np.linalg.svd(cycle.closed)[2][..., -1, :]

@@ -2,7 +2,8 @@
 
 Orbits to begin with are those that the sweep's lanes settle on and, where they are asked for, those that Newton finds
 from random starts. What follows is for all lanes together (`family_tree`): branches are followed to their ends, doubled
-orbits and those of branch points in turn, and none twice.
+orbits and those of branch points in turn, and none twice. Orbits are those of the return map, by shooting, or cycles of
+the flow by collocation (`cycles`).
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.continuation.cycle_points import durations, tree_of_cycles
+from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import cycles_at_hopf_points, equilibria
 from jaxnh.analyses.continuation.families import orbit_family, step_control
-from jaxnh.analyses.continuation.family_tree import grow
+from jaxnh.analyses.continuation.family_tree import Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.options.orbits import BranchesOptions
@@ -35,6 +38,10 @@ from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.maps.section import Section
+from jaxnh.orbits.continuation.paths import NO_CONVERGENCE
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
 _WORK = 3.0  # of a run, in those of settling: a guess
 
@@ -71,8 +78,27 @@ def check(options: BranchesOptions, setting: Setting) -> None:
     if options.equilibria and not setting.autonomous:
         what = "a flow with a clock" if setting.flow.continuous else "a map has orbits of period 1, and"
         raise OptionError(f"{what} has no equilibria; leave it out", "equilibria")
+    if options.method == "collocation" and (why := _no_collocation(setting.flow)):
+        raise OptionError(f"{why}; take method: shooting", "method")
     if options.equilibria and setting.flow.chart.dimension > setting.flow.exponents:
         raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
+
+
+def _no_collocation(flow: Flow) -> str:
+    """Return why cycles of a flow are no smooth and isolated solutions of its field; "" where they are."""
+    if not flow.continuous:
+        return "collocation follows cycles of flows, and this is a map"
+    if isinstance(flow, PiecewiseSmooth | SwitchedMechanics):
+        return "collocation follows smooth cycles, without jumps or switches"
+    if flow.chart.dimension > flow.exponents:
+        return "cycles of a flow with constraints are not isolated"
+    return ""
+
+
+def _needs_collocation(flow: Flow, tree: Tree) -> bool:
+    """Return whether shooting has lost a branch of a flow without a clock, whose returns expand too much."""
+    lost = any(NO_CONVERGENCE in branch.ends for branch in tree.branches)
+    return lost and flow.autonomous and not _no_collocation(flow)
 
 
 def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -96,7 +122,6 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     known = np.isfinite(size).all(axis=1)
     unit = np.median(size[known], axis=0) if known.any() else np.ones(u.shape[1])
     ends = float(axis.values.min()), float(axis.values.max())
-    families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
     waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
     sampled = np.unique(np.linspace(0, len(order) - 1, min(options.n_values, len(order))).round().astype(int))
     here = batch.take(np.argsort(batch.first_axis.values, kind="stable")[sampled])
@@ -119,12 +144,19 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
         return lanes.stage(f"branches: {label}", 0)
 
     steps = step_control(options)
+    families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
     still = list[FollowedBranches]()
     if options.equilibria:
         still.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
         if isinstance(batch.system, Section):
             waves.append(cycles_at_hopf_points(still[0], families[0], batch.system))
-    orbits = FollowedBranches(grow(families, waves, options.max_period, steps, stage), families[0], batch)
+    tree, timed = None, None
+    if options.method != "collocation":
+        tree = grow(families, waves, options.max_period, steps, stage)
+    if tree is None or (options.method == "auto" and _needs_collocation(batch.flow, tree)):
+        followed, lost = grow_cycles(batch, lanes, waves, options.max_period, ends, steps, stage)
+        tree, timed = tree_of_cycles(batch, followed, lost), durations(followed)
+    orbits = FollowedBranches(tree, families[0], batch, timed)
     return datasets(lanes, [orbits, *still], options.max_period, derived=bool(options.sensitivities))
 
 

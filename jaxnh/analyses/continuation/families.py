@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import Continuation
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
-from jaxnh.maps.section import rates
+from jaxnh.orbits.collocation.fields import point_rates
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.curves import ParameterPlane
 from jaxnh.orbits.continuation.paths import StepControl
-from jaxnh.systems.flow import Flow, Parameters
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
 # On a section, whose returns are of many steps, arithmetic decides: of the flows in configs/flows eight lanes take the
@@ -85,20 +82,11 @@ def equilibrium_family(
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        return lanes(field, (batch.flow,), (u, batch.at_values(values).p), tile=_TILE, static=(name,))
+        p, still = batch.at_values(values).p, np.zeros(len(u))
+        at = lanes(point_rates, (batch.flow,), (u, still, p), tile=_TILE, static=((name,),))
+        return Derivatives(u + at.rate, np.eye(u.shape[1]) + at.jacobian, at.by_parameters[..., 0])
 
     return Family(period, batch.chart.wrap, size, *ends, field=True)
-
-
-def field(flow: Flow, u: Float[Array, " d"], p: Parameters, name: str) -> Derivatives:
-    """u + f(u; p) with the rate f of the coordinates, and its derivatives in u and a parameter, of one lane."""
-
-    def moved(u: Array, value: Array) -> Array:
-        y = flow.chart.state(u)
-        return u + jnp.stack(rates(flow, y, {**p, name: value}))
-
-    value = jnp.asarray(p[name])
-    return Derivatives(moved(u, value), jax.jacfwd(moved)(u, value), jax.jacfwd(moved, 1)(u, value))
 
 
 def _nothing(u: Float[np.ndarray, "0 d"]) -> Derivatives:

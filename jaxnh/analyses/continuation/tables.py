@@ -31,7 +31,7 @@ from jaxnh.systems.flow import Output
 
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
-    "begins", "ends", "points", "kind", "criticality", "coefficient", "parameter",
+    "begins", "ends", "points", "kind", "criticality", "coefficient", "parameter", "duration",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
@@ -46,11 +46,13 @@ class FollowedBranches(NamedTuple):
         tree: them and their bifurcations.
         family: the first of its maps.
         batch: whose section coordinates their points have.
+        durations: of the cycles of each branch, where they are known.
     """
 
     tree: Tree
     family: Family
     batch: LaneBatch
+    durations: Sequence[np.ndarray] | None = None
 
 
 class _Table(Protocol):
@@ -81,9 +83,12 @@ def datasets(
     attrs = {
         "limit": limit,
         "along": axis.name,
+        "method": "shooting" if grown[0].durations is None else "collocation",
         **({"warnings": words} if (words := _warnings(axis, trees)) else {}),
     }
     lost = sum(tree.lost for tree in trees)
+    if (timed := grown[0].durations) is not None:
+        branches["duration"] = _durations(timed, [rank[0, k] for k in range(len(timed))], branches, batch)
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
     points = _bifurcations(lanes, grown, bifurcations, [rank[of, point.branch] for of, point in bifurcations])
     own = {"along": axis.name}
@@ -97,6 +102,17 @@ def datasets(
         "branches": xr.Dataset(branches, attrs=attrs),
         "bifurcations": xr.Dataset(points, attrs=own),
     }
+
+
+def _durations(
+    timed: Sequence[np.ndarray], places: Sequence[int], branches: Mapping[str, Entry], batch: LaneBatch
+) -> Entry:
+    """Durations of cycles over branches and their points; of equilibria there is none."""
+    dims, like, _ = branches[batch.first_axis.name]
+    whole = np.full(like.shape, np.nan)
+    for place, one in zip(places, timed, strict=True):
+        whole[place, : len(one)] = one
+    return variable(dims, whole, "time that the cycle takes", batch.flow.labels.units["t"])
 
 
 def _period(part: FollowedBranches, points: int) -> int:

@@ -69,6 +69,11 @@ class BranchesOptions(Continuation, SensitivityOptions):
 
     max_period: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
+    method: Literal["auto", "shooting", "collocation"] | None = Field(
+        default=None,
+        description="Orbits of the return map by shooting, the default, or cycles of the flow by collocation, however "
+        "unstable; auto: by shooting, and by collocation where that loses a branch of a flow without a clock",
+    )
     n_starts: int = Field(
         default=0, ge=0, description="Random starts of Newton for orbits at each of the values searched; needs a box"
     )

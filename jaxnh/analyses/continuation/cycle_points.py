@@ -1,0 +1,87 @@
+"""Cycles by collocation in the records of branches: their points on the section, or at strobes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.batch import LaneBatch
+from jaxnh.analyses.continuation.cycles import FollowedCycles
+from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
+from jaxnh.maps.section import Section
+from jaxnh.orbits.collocation.equations import BoundarySolution
+from jaxnh.orbits.collocation.paths import PiecewisePath, values_at
+from jaxnh.orbits.continuation.arclength import PathVector
+from jaxnh.orbits.continuation.branches import Branch
+from jaxnh.systems.chart import wrap_angle
+
+_LOOKED_AT = 8  # places of an interval where the sign of the height is looked at
+_HALVINGS = 60
+
+
+def tree_of_cycles(batch: LaneBatch, followed: Sequence[FollowedCycles], lost: int) -> Tree:
+    """Branches and bifurcations as those of return maps; a cycle that misses the section has no numbers there."""
+    branches, points = list[Branch](), list[Bifurcation]()
+    for number, known in enumerate(followed):
+        solutions = [point.solution for point in known.branch.points]
+        orbits = np.stack([cycle_points(batch, solution, known.returns) for solution in solutions])
+        still = PathVector(np.zeros_like(orbits), np.zeros(len(orbits)))
+        multipliers = np.stack([point.multipliers for point in known.branch.points])
+        residual = np.array([point.residual for point in known.branch.points])
+        none = np.zeros((len(orbits), 0))
+        branches.append(Branch(orbits, known.branch.value, still, none, multipliers, residual, known.branch.ends))
+        for one in known.bifurcations:
+            at = cycle_points(batch, one.point.solution, known.returns)
+            value = one.point.value
+            points.append(
+                Bifurcation(one.kind, value, one.error, number, one.place, at, one.point.multipliers, np.nan, 0)
+            )
+    return Tree(branches, points, lost)
+
+
+def durations(followed: Sequence[FollowedCycles]) -> list[Float[np.ndarray, " k"]]:
+    """Durations of the cycles of branches."""
+    return [np.array([float(p.solution.duration[0]) for p in known.branch.points]) for known in followed]
+
+
+def cycle_points(batch: LaneBatch, solution: BoundarySolution, returns: int) -> Float[np.ndarray, "returns d"]:
+    """Points of a cycle on the section of a batch in the order of time, or at the strobes of its clock.
+
+    Where it passes the section less often than `returns` times, the rest are not numbers; of more the first are taken.
+    """
+    path, system = solution.path, batch.system
+    if not isinstance(system, Section):
+        return values_at(path, np.arange(returns)[None] / returns)[0]
+    places = _passages(system, path)[:returns]
+    points = values_at(path, places[None])[0]
+    points = np.delete(points, system.number, axis=1)
+    return np.concatenate([points, np.full((returns - len(points), points.shape[1]), np.nan)])
+
+
+def _passages(section: Section, path: PiecewisePath) -> Float[np.ndarray, " k"]:
+    """Places of a path where it passes a section in its direction."""
+    shares = np.arange(_LOOKED_AT) / _LOOKED_AT
+    places = np.append((path.mesh[0, :-1, None] + path.steps[0][:, None] * shares).ravel(), 1.0)
+    heights = _heights(section, path, places)
+    up, down = (heights[:-1] <= 0.0) & (heights[1:] > 0.0), (heights[:-1] >= 0.0) & (heights[1:] < 0.0)
+    wanted = {"up": up, "down": down, "both": up | down}[section.direction]
+    jumps = np.abs(np.diff(heights)) > np.pi if section.flow.chart.angles[section.number] else np.zeros(len(up), bool)
+    low, high = places[:-1][wanted & ~jumps], places[1:][wanted & ~jumps]
+    rising = _heights(section, path, high) > 0.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        beyond = (_heights(section, path, middle) > 0.0) == rising
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    return high
+
+
+def _heights(section: Section, path: PiecewisePath, places: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Heights of a path above the value of the section, whichever way it is passed."""
+    states = values_at(path, places[None])[0]
+    weights = np.eye(states.shape[1])[section.number]
+    if section.normal is not None:
+        weights[: len(section.normal)] = section.normal
+    heights = states @ weights - section.value
+    return wrap_angle(heights) if section.flow.chart.angles[section.number] else heights

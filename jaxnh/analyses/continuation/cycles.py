@@ -1,0 +1,213 @@
+"""Branches of cycles by collocation: all that orbits lead to, with their bifurcations and doubled cycles.
+
+Cycles are boundary-value problems of the flow, not orbits of its return map: errors grow over one interval of a mesh,
+not over a return. Results have their points on the section, or at strobes, as those of the map.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.continuation.cycle_paths import first_guesses
+from jaxnh.analyses.continuation.family_tree import SeedOrbit
+from jaxnh.orbits.collocation.bifurcations import CycleBifurcation, bifurcations, doubled_cycle
+from jaxnh.orbits.collocation.cycles import closure, hold_parameters, solve_cycles
+from jaxnh.orbits.collocation.equations import BoundarySolution, FieldValues, Problem, combination, moved
+from jaxnh.orbits.collocation.fields import point_rates
+from jaxnh.orbits.collocation.following import (
+    CycleBranch,
+    CyclePoint,
+    follow_cycles,
+    invariants,
+    point_at,
+    remeshed_point,
+    reversed_way,
+)
+from jaxnh.orbits.collocation.newton import correct
+from jaxnh.orbits.continuation.kinds import DOUBLING
+from jaxnh.orbits.continuation.paths import START, StepControl
+
+_TILE = 256  # points
+_TARGET = 1e-7  # error of the first cycle of a branch, that its mesh is chosen by
+_SAME = 1e-4  # of invariants, in sizes and widths: the cycle is on the branch
+_NEAR = 0.1  # likewise: it may be
+_STILL = 1e-6  # sizes: a cycle smaller than this is an equilibrium
+
+
+class FollowedCycles(NamedTuple):
+    """A branch of cycles with its bifurcations, in both directions from where it was begun.
+
+    Attributes:
+        returns: of its cycles to the section, or periods of a clock.
+        lift: of the end of an orbit over its beginning.
+        branch: from one end to the other.
+        bifurcations: on it, with places of that order.
+    """
+
+    returns: int
+    lift: Float[np.ndarray, " d"]
+    branch: CycleBranch
+    bifurcations: list[CycleBifurcation]
+
+
+def flow_problem(
+    batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]
+) -> Problem:
+    """The flow of a batch over its first axis."""
+    name = batch.first_axis.name
+
+    def field(
+        y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points 1"]
+    ) -> FieldValues:
+        p = dict(batch.at_values(values[:, 0]).p)
+        rates = lanes(point_rates, (batch.flow,), (y, t, p), tile=_TILE, static=((name,),))
+        return FieldValues(*map(np.asarray, rates))
+
+    return Problem(field, size, np.array([ends[1] - ends[0]]), not batch.flow.autonomous)
+
+
+def grow_cycles(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    waves: Sequence[Sequence[SeedOrbit]],
+    limit: int,
+    ends: tuple[float, float],
+    steps: StepControl,
+    stage: Callable[[str], AbstractContextManager[object]],
+) -> tuple[list[FollowedCycles], int]:
+    """All branches of cycles that orbits lead to, and how many changes of sign of test functions led to no bifurcation.
+
+    Args:
+        batch: lanes along the first axis.
+        lanes: runs lanes.
+        waves: orbits to begin with, at points of the section or at strobes.
+        limit: largest period, in returns.
+        ends: of the range of the parameter, the lower one first.
+        steps: how branches are followed.
+        stage: shows what is done inside, by its label.
+    """
+    followed, lost, problem = list[FollowedCycles](), 0, None
+    for wave in waves:
+        with stage(f"paths of {len(wave)} orbits"):
+            guesses = first_guesses(batch, lanes, wave)
+        for returns, guess in guesses:
+            problem = problem or flow_problem(batch, lanes, _size_of([path for _, path in guesses]), ends)
+            with stage(f"cycles of {returns} returns by collocation"):
+                lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch)
+    return followed, lost
+
+
+def _follow_on(
+    problem: Problem,
+    followed: list[FollowedCycles],
+    guess: BoundarySolution,
+    returns: int,
+    limit: int,
+    ends: tuple[float, float],
+    steps: StepControl,
+    batch: LaneBatch,
+) -> int:
+    """Follow the branch of a cycle and those of doubled ones, where they are new; how many signs led to nothing."""
+    begun = _first_point(problem, guess, _lift(batch, guess))
+    if begun is None or _is_known(problem, followed, begun, returns):
+        return 0
+    lift, lost = _lift(batch, guess), 0
+    open_ = [(begun, returns, lift, True)]
+    while open_:
+        point, n, lift, both_ways = open_.pop(0)
+        if _is_known(problem, followed, point, n):
+            continue
+        sides = []
+        for way in (point, reversed_way(point))[: 1 + both_ways]:
+            branch = follow_cycles(problem, way, lift, ends, steps)
+            located, missed = bifurcations(problem, branch, lift, ends)
+            lost += missed
+            sides.append((branch, located))
+        new = _joined(n, lift, *sides)
+        followed.append(new)
+        for bifurcation in new.bifurcations:
+            if bifurcation.kind == DOUBLING and 2 * n <= limit:
+                doubled = doubled_cycle(problem, bifurcation.point, lift)
+                if doubled is not None:
+                    open_.append((doubled, 2 * n, 2.0 * lift, False))
+    return lost
+
+
+def _first_point(problem: Problem, guess: BoundarySolution, lift: Float[np.ndarray, " d"]) -> CyclePoint | None:
+    """The cycle near a path, on a mesh that is fine enough; None where there is none, or it is an equilibrium."""
+    cycle = solve_cycles(problem, guess, _TARGET, lift[None])[0]
+    extent = np.ptp(cycle.solution.path.ends[0] / problem.size, axis=0).max()
+    if not cycle.converged[0] or (extent < _STILL and not problem.clock):
+        return None
+    solution = cycle.solution._replace(values=guess.values)  # they are held, but for rounding
+    point = point_at(problem, solution, lift, None)
+    return remeshed_point(problem, point, cycle.solution.path.stages.shape[1] // 2)
+
+
+def _is_known(problem: Problem, followed: Sequence[FollowedCycles], point: CyclePoint, returns: int) -> bool:
+    """Return whether a cycle is on a branch that has been followed."""
+    wanted = invariants(problem, point.solution)
+    for known in followed:
+        if known.returns != returns:
+            continue
+        points = known.branch.points
+        for before, after in itertools.pairwise(points):
+            low, high = sorted((before.value, after.value))
+            if not low <= point.value <= high or low == high:
+                continue
+            share = (point.value - before.value) / (after.value - before.value)
+            ends = invariants(problem, before.solution), invariants(problem, after.solution)
+            if np.linalg.norm(ends[0] + share * (ends[1] - ends[0]) - wanted) > _NEAR:
+                continue
+            nearest = before if share <= 0.5 else after
+            if (
+                np.linalg.norm(invariants(problem, _at_value(problem, nearest, point.value, known.lift)) - wanted)
+                < _SAME
+            ):
+                return True
+    return False
+
+
+def _at_value(problem: Problem, point: CyclePoint, value: float, lift: Float[np.ndarray, " d"]) -> BoundarySolution:
+    """The cycle of a branch at a value of the parameter near a point of it, as far as Newton comes to it."""
+    rate = float(point.way.extra[0, 1]) * problem.widths[0]
+    step = (value - point.value) / rate if rate else 0.0
+    guess = moved(problem, point.solution, combination([(step, point.way)]))
+    guess.values[0, 0] = value
+    corrected = correct(problem, guess, closure(problem, lift[None]), hold_parameters)
+    return corrected.solution if corrected.converged[0] else guess
+
+
+def _joined(
+    returns: int, lift: Float[np.ndarray, " d"], *sides: tuple[CycleBranch, list[CycleBifurcation]]
+) -> FollowedCycles:
+    """The branch from one end to the other, of both directions from its first point or of one."""
+    ahead, located = sides[0]
+    if len(sides) == 1:
+        return FollowedCycles(returns, lift, ahead._replace(ends=(START, ahead.ends[1])), located)
+    back, before = sides[1]
+    turned = [reversed_way(point) for point in back.points[:0:-1]]
+    place = len(back.points) - 1
+    whole = CycleBranch([*turned, *ahead.points], (back.ends[1], ahead.ends[1]))
+    moved_back = [point._replace(place=place - 1 - point.place) for point in before]
+    moved_ahead = [point._replace(place=place + point.place) for point in located]
+    return FollowedCycles(returns, lift, whole, [*moved_back, *moved_ahead])
+
+
+def _size_of(guesses: Sequence[BoundarySolution]) -> Float[np.ndarray, " d"]:
+    """Half the extent of most paths in each coordinate."""
+    size = 0.5 * np.median([np.ptp(guess.path.ends[0], axis=0) for guess in guesses], axis=0)
+    return np.where(size > 0.0, size, size.max() or 1.0)
+
+
+def _lift(batch: LaneBatch, guess: BoundarySolution) -> Float[np.ndarray, " d"]:
+    """Whole turns of angles from the beginning of a path to its end."""
+    turns = np.round((guess.path.ends[0, -1] - guess.path.ends[0, 0]) / (2 * np.pi))
+    return np.where(batch.flow.chart.angles, 2 * np.pi * turns, 0.0)

@@ -1,0 +1,1 @@
+"""Cycles and homoclinic orbits as boundary-value problems, by orthogonal collocation."""
