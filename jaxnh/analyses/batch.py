@@ -12,8 +12,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.maps.build import make_inverse_map, make_return_map
+from jaxnh.maps.build import make_return_map
 from jaxnh.maps.family import Maps, ParameterFamily
+from jaxnh.maps.inverse import make_inverse_map
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import System
 from jaxnh.maps.single_precision import in_precision

@@ -55,20 +55,11 @@ def gradient(
     asked = options.model_copy(update={"sensitivities": True})
     names = (numbers,) if isinstance(numbers, str) else tuple(numbers)
 
-    @functools.lru_cache(maxsize=_KEPT)
-    def solved(keys: tuple[str, ...], values: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-        data = session.run(asked, None, **axes, **dict(zip(keys, values, strict=True))).sel(where or {})
-        for name in names:
-            if f"{name}_sensitivity" not in data or data[name].ndim:
-                known = ", ".join(str(key) for key in data if f"{key}_sensitivity" in data)
-                raise InputError(f"{name} is no single number with derivatives; {known} are, one place each of `where`")
-        rates = [data[f"{name}_sensitivity"].reindex(parameter=list(keys)).to_numpy() for name in names]
-        return np.array([float(data[name]) for name in names]), np.array(rates)
+    solved = _solver(session, asked, names, where or {}, axes)
 
     def on_host(p: dict[str, Array]) -> tuple[Array, Array]:
         """Numbers (names,) and their derivatives (names, parameters), in the order of the sorted names."""
         keys = tuple(sorted(p))
-
         values = [p[key] for key in keys]
         if any(isinstance(value, Tracer) for value in values):
             raise InputError(
@@ -92,3 +83,21 @@ def gradient(
         return result[0] if isinstance(numbers, str) else result
 
     return function
+
+
+def _solver(
+    session: Session, options: Options, names: Sequence[str], where: dict[str, int | float], axes: dict[str, ArrayLike]
+) -> Callable[[tuple[str, ...], tuple[float, ...]], tuple[np.ndarray, np.ndarray]]:
+    """Return a function of names and values of parameters to numbers (names,) and derivatives (names, parameters)."""
+
+    @functools.lru_cache(maxsize=_KEPT)
+    def solved(keys: tuple[str, ...], values: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+        data = session.run(options, None, **axes, **dict(zip(keys, values, strict=True))).sel(where)
+        for name in names:
+            if f"{name}_sensitivity" not in data or data[name].ndim:
+                known = ", ".join(str(key) for key in data if f"{key}_sensitivity" in data)
+                raise InputError(f"{name} is no single number with derivatives; {known} are, one place each of `where`")
+        rates = [data[f"{name}_sensitivity"].reindex(parameter=list(keys)).to_numpy() for name in names]
+        return np.array([float(data[name]) for name in names]), np.array(rates)
+
+    return solved

@@ -7,7 +7,6 @@ at the end says which flows have a way of their own; all others go by Runge–Ku
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any, ClassVar, Protocol
 
 import jax
@@ -39,7 +38,7 @@ from jaxnh.solvers import (
     tsitouras_papakostas8,
     verner9,
 )
-from jaxnh.systems.discrete_map import DiscreteMap, inverse_map
+from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
@@ -282,7 +281,7 @@ def make_return_map(
         most = math.ceil(system.longest * steps)
         if isinstance(system.flow, PiecewiseSmooth):
             return JumpingSection(system, _with_events(solver), system.flow.period / steps, np.int32(most))
-        return EventStrobe(system, _unit_step(system.flow, solver), system.flow.period / steps, np.int32(most))
+        return EventStrobe(system, map_of_one_step(system.flow, solver), system.flow.period / steps, np.int32(most))
     t0, t1 = span or (0.0, system.period)
     if system.autonomous:
         steps = max(1, math.ceil(steps * (t1 - t0) / system.period - 1e-6))
@@ -353,31 +352,6 @@ def backward_parts(
     return scheme_of(system, solver).parts(system, solver, each, grid, ends[::each], compensated=compensated)
 
 
-_OPPOSITE = {"up": "down", "down": "up", "both": "both"}
-
-
-def make_inverse_map(system: Flow | Section, solver: Solver, steps: int, *, compensated: bool = False) -> ReturnMap:
-    """The inverse of `make_return_map`: of a flow by as many steps back in time, of a map its own.
-
-    Raises:
-        TypeError: there is none: of a map that says none, of jumps and switches, of steps of a lane's own.
-    """
-    if isinstance(system, DiscreteMap):
-        if (inverse := inverse_map(system)) is None:
-            raise TypeError("the map says no inverse")
-        return IterationStrobe(inverse)
-    if isinstance(system.flow, PiecewiseSmooth):
-        raise TypeError("motions with jumps or switches are not followed backwards")
-    if isinstance(solver, AdaptiveMethod):
-        raise TypeError(f"the flow takes steps of a lane's own ({solver.name}), which go forward alone")
-    if isinstance(system, Section):
-        met = replace(system, direction=_OPPOSITE[system.direction])
-        step, most = -system.flow.period / steps, math.ceil(system.longest * steps)
-        return EventStrobe(met, _unit_step(system.flow, solver), step, np.int32(most), backward=True)
-    parts = backward_parts(system, solver, steps, 1, system.period, compensated=compensated)
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], parts)
-
-
 def _adaptive(
     system: Flow | Section, solver: AdaptiveMethod, steps: int, span: tuple[float, float] | None
 ) -> ReturnMap:
@@ -389,7 +363,7 @@ def _adaptive(
     return EventStrobe(system, unit, system.flow.period / parts, np.int32(math.ceil(system.longest * parts)))
 
 
-def _unit_step(flow: Flow, solver: Solver) -> ReturnMap:
+def map_of_one_step(flow: Flow, solver: Solver) -> ReturnMap:
     """One step as long as the unit of time, of a flow without a clock."""
     if not hasattr(solver, "written_stages") and not isinstance(solver, IsokineticSplitting):
         raise TypeError(f"{solver.name} has no steps of its own for a flow without a clock")
@@ -401,7 +375,7 @@ def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: i
     if isinstance(flow, PiecewiseSmooth):
         strobe = _map_on_grid(flow, solver, np.linspace(0.0, length, steps + 1))
     else:
-        strobe = SteppedStrobe(flow, _unit_step(flow, solver).rescaled_time(length / steps), np.int32(steps))
+        strobe = SteppedStrobe(flow, map_of_one_step(flow, solver).rescaled_time(length / steps), np.int32(steps))
     if not parts:
         return strobe
     return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], parts, axis=0), strobe)
