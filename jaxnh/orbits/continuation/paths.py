@@ -168,6 +168,7 @@ class Path:
         lost = ~np.isfinite(taken.residual) & (taken.missed == 0.0)  # at the guess itself
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, control.ds_min), 0.0)
+            share = np.where(np.isnan(share), np.inf, share)  # as on a branch point itself, where steps are not known
             good = taken.converged & (inner(unit, taken.way, now.way) >= _BENT) & (share <= _MISSED)
             parameters = taken.z[:, -len(equations.low) :]
             good &= np.all((parameters >= equations.low) & (parameters <= equations.high), axis=1)
