@@ -321,6 +321,7 @@ OTHERS = {
     ),
     "TypeError": {
         "maps/build.py": "a solver that does not go with a flow: an error of the caller's program",
+        "maps/inverse.py": "a map that has no inverse: an error of the caller's program, whom analyses check first",
         "storage/hdf5.py": "within one that is read: among UNREADABLE, caught by all readers",
     },
     "fault_of": {"plotting/reading.py": "a DamagedError, or the very error that was met: an ordinary failure"},

@@ -185,14 +185,17 @@ def test_what_a_section_has_no_place_for(name, options, key):
 
 
 def test_defaults_go_with_everything_along_a_parameter():
-    """No default is refused, but that transients and manifolds name no box: three exponents are cut down to those that there are."""
+    """No default is refused, but that transients and manifolds name no box, and transport nothing to follow.
+
+    Three exponents are cut down to those that there are.
+    """
     for flow in (constant_speed(), free_particle(0.5, None, 1.0)):
         setting = Setting(flow, False, (LANES_B, SHARED), "float64", functools.partial(_same, flow))
         for analysis in ANALYSES.values():
             # Branches and windows are along one axis, curves over two that lanes may differ in.
             along = {"branches": (LANES_B,), "windows": (LANES_B,), "curves": (LANES_B, LANES_A)}
             axes = along.get(analysis.name, setting.axes)
-            if analysis.name not in IN_A_BOX:
+            if analysis.name not in (*IN_A_BOX, "transport"):
                 analysis.check(analysis.options(), setting._replace(axes=axes))
 
 

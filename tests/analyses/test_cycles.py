@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.analyses.continuation import branches
+from jaxnh.analyses.continuation.family_tree import Tree
 from jaxnh.exceptions import ConfigError
+from jaxnh.orbits.continuation.arclength import PathVector
+from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.kinds import KINDS
-from jaxnh.orbits.continuation.paths import ENDS
+from jaxnh.orbits.continuation.paths import CLOSED, NO_CONVERGENCE, NO_RETURN, RANGE, START
+from jaxnh.systems.first_order import first_order
 from tests.flows.roessler import doubling_of_roessler
 from tests.helpers.kept_programs import session_of
 
@@ -19,15 +26,6 @@ def system(c=2.5):
         return -v - z, x + 0.2 * v, 0.2 + z * (x - c)
 
     return {"rhs": rhs, "coordinates": ("x", "v", "z")}
-"""
-
-SLOW_FAST = """
-def system(a=0.95):
-    def rhs(y, t):
-        x, slow = y
-        return (slow - x * x * x / 3 + x) / 0.01, a - x
-
-    return {"rhs": rhs, "coordinates": ("x", "slow")}
 """
 
 DUFFING = """
@@ -127,22 +125,32 @@ def test_folds_of_a_flow_with_a_clock(tmp_path):
     assert np.allclose(timed[np.isfinite(timed)], 2 * np.pi / 1.2, rtol=1e-14)
 
 
-@pytest.mark.slow
-def test_branch_that_shooting_loses_is_followed_by_collocation(tmp_path):
-    """Canards: returns expand by 10⁷ and more; by `auto` the branch comes to the series' value with all of them."""
-    sweep, section = (
-        "a: {start: 0.99, stop: 0.9995, count: 4}",
-        "section: {coordinate: x, value: 0.99, direction: up}\n",
-    )
-    options, trees = "{max_period: 1, transient: 64, ds_max: 0.25, max_steps: 300, method: %s}", []
-    for method in ("shooting", "auto"):
-        trees.append(tree_of(tmp_path, SLOW_FAST, "{x: 0.9, slow: -0.6}", sweep, options % method, section)["branches"])
-    lost, passed = trees
-    assert "no_convergence" in {ENDS[end] for end in [*lost["begins"].values, *lost["ends"].values]}
-    assert passed.attrs["method"] == "collocation"
-    assert np.nanmax(np.abs(passed["multipliers"])) > 1e3 * np.nanmax(np.abs(lost["multipliers"]))
-    series = 1 - 0.01 / 8 - 3 * 0.01**2 / 32 - 173 * 0.01**3 / 1024
-    assert abs(float(np.nanmin(passed["a"])) - series) < 1e-8  # the next term, ε⁴
+@pytest.mark.parametrize("lost", [True, False])
+def test_collocation_where_shooting_loses_a_branch(tmp_path, lost):
+    """By `auto` both follow the branch where shooting ends one for want of a solution, and shooting alone elsewhere."""
+    section = "section: {coordinate: v, value: 0.0, direction: up}\n"
+    options = "{max_period: 1, transient: 32, ds_max: 0.1, method: auto}"
+    sweep = "c: {start: 2.6, stop: 2.7, count: 2}"
+    with mock.patch.object(branches, "_needs_collocation", return_value=lost):
+        tree = tree_of(tmp_path, ROESSLER, "{x: 1.0, v: 0.0, z: 0.0}", sweep, options, section)
+    assert tree["branches"].attrs["method"] == ("collocation" if lost else "shooting")
+    assert sorted(tree["branches"]["c"].values[0][[0, -1]]) == [2.6, 2.7]
+
+
+@pytest.mark.parametrize(
+    ("ends", "needed"),
+    [((RANGE, RANGE), False), ((RANGE, NO_CONVERGENCE), True), ((NO_RETURN, RANGE), True), ((START, CLOSED), False)],
+)
+def test_ends_that_shooting_loses_a_branch_by(ends, needed):
+    """Of a flow without a clock; one with a clock and a map are followed by shooting."""
+    orbits = np.zeros((2, 1, 2))
+    still = PathVector(np.zeros_like(orbits), np.zeros(2))
+    branch = Branch(orbits, np.zeros(2), still, np.zeros((2, 0)), np.zeros((2, 2), complex), np.zeros(2), ends)
+    tree = Tree([branch], [], 0)
+    cycle = first_order(lambda: {"rhs": lambda y, t: (y[1], -y[0]), "coordinates": ("x", "v")}, {})
+    driven = first_order(lambda: {"rhs": lambda y, t: (y[1], -y[0]), "coordinates": ("x", "v"), "period": 1.0}, {})
+    assert branches._needs_collocation(cycle, tree) == needed
+    assert not branches._needs_collocation(driven, tree)
 
 
 def test_what_collocation_does_not_follow_is_said(tmp_path):

@@ -94,7 +94,7 @@ def test_pieces_computed_together_are_those_computed_alone(runners):
 def test_every_analysis_says_whether_its_lanes_are_independent():
     """What carries something from lane to lane is run along the whole first axis."""
     whole = {name for name, a in ANALYSES.items() if not a.independent(a.options())}
-    assert whole == {"doubling", "windows"}
+    assert whole == {"doubling", "windows", "tori"}
     for start, independent in (("fixed", True), ("random", True), ("up", False), ("down", False)):
         options = ANALYSES["diagram"].options(start=start)
         assert ANALYSES["diagram"].independent(options) == independent

@@ -147,6 +147,25 @@ def cascade_branches():
     return dataset({}, variables, panel="branches", panel_variables="x1_points", along="b")
 
 
+def cat_manifolds():
+    """Both manifolds of the fixed point of Arnold's cat map: straight lines of the slopes (√5 − 1)/2 and −(√5 + 1)/2."""
+    along = np.linspace(0.0, 1.0, 20)
+    slopes = np.array(
+        [0.5 * (np.sqrt(5) - 1), 0.5 * (np.sqrt(5) - 1), -0.5 * (np.sqrt(5) + 1), -0.5 * (np.sqrt(5) + 1)]
+    )
+    sign = np.array([1.0, -1.0, 1.0, -1.0])
+    x = (sign * [1.0, 1.0, 0.3, 0.3])[:, None] * along
+    flags = {"flag_values": np.arange(2), "flag_meanings": "unstable stable"}
+    variables = {
+        "x1_points": (("b", "saddle", "branch", "point"), x[None, None], WORDS["x1"], "1"),
+        "y1_points": (("b", "saddle", "branch", "point"), (slopes[:, None] * x)[None, None], WORDS["y1"], "1"),
+        "branch_kind": (("branch",), np.array([0, 0, 1, 1], np.int8), "kind of branch", "1", flags),
+    }
+    axes = {"b": (np.ones(1), "coupling b")}
+    drawn = dataset(axes, variables, panel="manifolds", panel_variables="x1_points y1_points")
+    return drawn.assign_attrs(axes="b")
+
+
 def cascade_marks():
     """Its first two doublings, and a fold that is none of it, subcritical."""
     x = np.array([[2 / 3, np.nan], [0.4399, 0.8499], [0.5, np.nan]])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from jaxnh.exceptions import InputError
 from jaxnh.orbits.collocation.bifurcations import bifurcations, doubled_cycle
 from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.cycles import hold_parameters as hold
@@ -210,7 +211,7 @@ def test_homoclinic_orbit_to_a_saddle_focus():
 
 
 def test_what_is_no_saddle_is_said():
-    with pytest.raises(ValueError, match=r"no equilibrium near|is no saddle"):
+    with pytest.raises(InputError, match=r"no equilibrium near|is no saddle"):
         saddle_at(
             problem_of(first_order(hopf, {"mu": 0.1}, ("mu",)), ("mu",), (0.5, 0.5)), np.zeros(2), np.array([0.1])
         )

@@ -15,6 +15,7 @@ from tests.helpers.hand_made_results import (
     basin_shares,
     cascade_branches,
     cascade_marks,
+    cat_manifolds,
     cusp_curves,
     cusp_point,
     dataset,
@@ -45,6 +46,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
     bifurcation_curves,
     special_points,
     windows,
+    manifolds,
 ) = (
     PANELS[name].draw
     for name in (
@@ -62,6 +64,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
         "bifurcation_curves",
         "special_points",
         "windows",
+        "manifolds",
     )
 )
 
@@ -92,6 +95,7 @@ DRAWINGS = {
     "bifurcation_curves": lambda ax: bifurcation_curves(cusp_curves(), ax),
     "special_points": lambda ax: special_points(cusp_point(), ax),
     "windows": lambda ax: windows(window_rows(), ax),
+    "manifolds": lambda ax: manifolds(cat_manifolds(), ax),
 }
 
 

@@ -38,7 +38,7 @@ from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.maps.section import Section
-from jaxnh.orbits.continuation.paths import NO_CONVERGENCE
+from jaxnh.orbits.continuation.paths import NO_CONVERGENCE, NO_RETURN
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.switched_mechanics import SwitchedMechanics
@@ -97,7 +97,7 @@ def _no_collocation(flow: Flow) -> str:
 
 def _needs_collocation(flow: Flow, tree: Tree) -> bool:
     """Return whether shooting has lost a branch of a flow without a clock, whose returns expand too much."""
-    lost = any(NO_CONVERGENCE in branch.ends for branch in tree.branches)
+    lost = any({NO_CONVERGENCE, NO_RETURN} & {*branch.ends} for branch in tree.branches)
     return lost and flow.autonomous and not _no_collocation(flow)
 
 

@@ -37,6 +37,8 @@ from jaxnh.orbits.multipliers import multipliers
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.systems.flow import Parameters
 
+_ROUNDING = 16.0 * np.finfo(float).eps  # of a derivative: sums and quotients that it is made of
+
 Numbers = tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " numbers"]]
 """Derivatives in some parameters, and their errors."""
 
@@ -121,7 +123,8 @@ def sensitivities(
     names = names[len(kept) - second.shape[1] :]  # that of an implicit number is no function of its own parameter
     whole, errors = np.full((len(second), len(names)), np.nan), np.full((len(second), len(names)), np.nan)
     places = [place for place, name in enumerate(names) if name in kept]
-    whole[:, places], errors[:, places] = second, error + np.abs(second - first)
+    rounding = _ROUNDING * np.abs(second)
+    whole[:, places], errors[:, places] = second, error + np.abs(second - first) + rounding
     return Sensitivities(names, whole, errors, absent)
 
 

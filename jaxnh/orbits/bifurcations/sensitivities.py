@@ -25,6 +25,7 @@ _WIDTHS = 2.0 ** -np.array([6.0, 9.0, 12.0, 15.0, 18.0])  # of the parameter, ha
 _PLACES = np.array([1.0, 2.0, 3.0]) / 3.0
 _SIXTH = np.array([45.0, -9.0, 1.0]) / 20.0  # weights of f(x h) − f(−x h), times h
 _FOURTH = np.array([8.0, -1.0, 0.0]) / 4.0
+_ROUNDINGS = 8.0  # of a period of the map, whose operations are many
 _ROUNDING = 8.0  # of a sixth-order difference, in that of its distance to the one of fourth order: 7.1
 
 
@@ -207,7 +208,9 @@ def _difference(
         rows = np.array([wrap(pair) for pair in pairs] if wrap else pairs)
         sixth, fourth = (np.tensordot(weights, rows, 1) / width for weights in (_SIXTH, _FOURTH))
         found.append(sixth)
-        errors.append(_ROUNDING * np.abs(sixth - fourth) + np.spacing(np.max(np.abs(sides), axis=(0, 1))) / width)
+        errors.append(
+            _ROUNDING * np.abs(sixth - fourth) + _ROUNDINGS * np.spacing(np.max(np.abs(sides), axis=(0, 1))) / width
+        )
     rates, bounds = np.array(found), np.where(np.isfinite(errors), errors, np.inf)
     order = np.argsort(bounds, axis=0, kind="stable")[:2]
     best, second = np.take_along_axis(rates, order, axis=0)

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 from scipy.linalg import expm, schur
 
+from jaxnh.exceptions import InputError
 from jaxnh.orbits.collocation.equations import (
     BoundaryConditions,
     BoundarySolution,
@@ -65,7 +66,7 @@ def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np
     """The equilibrium near a state, by Newton.
 
     Raises:
-        ValueError: Newton does not converge, or the equilibrium is no hyperbolic saddle.
+        InputError: Newton does not converge, or the equilibrium is no hyperbolic saddle.
     """
     state, zero, size = guess[None].astype(float), np.zeros(1), problem.size
     for _ in range(_STEPS):
@@ -75,13 +76,13 @@ def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np
         if np.abs(step / size).max() <= _FLOOR:
             break
     else:
-        raise ValueError(f"no equilibrium near {guess.tolist()} at parameters {values.tolist()}")
+        raise InputError(f"no equilibrium near {guess.tolist()} at parameters {values.tolist()}")
     jacobian = np.asarray(problem.field(state, zero, values[None]).jacobian)[0] * (size / size[:, None])
     eigenvalues = np.linalg.eigvals(jacobian).astype(complex)
     eigenvalues = eigenvalues[np.lexsort((eigenvalues.imag, -eigenvalues.real))]
     stable, unstable = (_eigenspace(jacobian.T, side).T for side in ("lhp", "rhp"))
     if not 0 < len(stable) < len(size) or len(stable) + len(unstable) != len(size):
-        raise ValueError(
+        raise InputError(
             f"the equilibrium {state[0].tolist()} is no saddle, its eigenvalues are {eigenvalues.tolist()}"
         )
     return SaddlePoint(state[0], eigenvalues, stable, unstable)
@@ -118,7 +119,7 @@ def homoclinic_orbit(
         n: intervals of the mesh, by default those of the cycle.
 
     Raises:
-        ValueError: there is no saddle near the state, or Newton comes to no homoclinic orbit.
+        InputError: there is no saddle near the state, or Newton comes to no homoclinic orbit.
     """
     intervals = cycle.path.stages.shape[1] if n is None else n
     saddle = saddle_at(problem, near, cycle.values[0])
@@ -128,7 +129,7 @@ def homoclinic_orbit(
     finer = longer._replace(path=on_mesh(longer.path, halved(longer.path.mesh)))
     corrected = correct(problem, finer, projections(problem, saddle), hold_duration)
     if not corrected.converged[0]:
-        raise ValueError("Newton comes to no homoclinic orbit on the halves of the mesh; begin with more intervals")
+        raise InputError("Newton comes to no homoclinic orbit on the halves of the mesh; begin with more intervals")
     value = corrected.solution.values[0, 0]
     error = abs(value - longer.values[0, 0]) + abs(longer.values[0, 0] - solution.values[0, 0])
     rounding = (corrected.extra_rounding[0, 1] + _FLOOR) * problem.widths[0]
@@ -145,7 +146,7 @@ def hold_duration(line: NewtonSystem, lanes: Int[np.ndarray, " lanes"]) -> Seque
 def _solve(problem: Problem, guess: BoundarySolution, saddle: SaddlePoint, n: int) -> BoundarySolution:
     corrected = on_adapted_mesh(problem, guess, projections(problem, saddle), hold_duration, n, cyclic=False)
     if not corrected.converged[0]:
-        raise ValueError(
+        raise InputError(
             "Newton comes to no homoclinic orbit; begin with a cycle of longer duration, or more intervals"
         )
     return corrected.solution
