@@ -75,6 +75,15 @@ def test_import_is_light():
     assert python(code).strip() == "False"
 
 
+def test_a_session_imports_what_it_is_asked_for():
+    """No analysis is imported but those of the run, and no library that these do not need."""
+    code = "import sys, jaxnh; jaxnh.Session; print(*sys.modules)"
+    loaded = set(python(code).split())
+    folders = {name.split(".")[2] for name in loaded if name.startswith("jaxnh.analyses.")}
+    assert folders == {"base", "batch", "options", "price", "registry"}
+    assert not {"diffrax", "matplotlib", "scipy.special", "scipy.spatial", "scipy.linalg", "dask"} & loaded
+
+
 def test_first_lines(capsys, monkeypatch):
     """As the package shows them: the doublings of Table 1, by their name and with an error."""
     *body, last = lines().splitlines()

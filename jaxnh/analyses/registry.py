@@ -1,52 +1,58 @@
-"""All analyses by name, the only place that lists them."""
+"""All analyses by name, the only place that lists them. Each is imported when it is first asked for."""
 
-from jaxnh.analyses import chaos01, verdict
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+
 from jaxnh.analyses.base import Analysis
-from jaxnh.analyses.basins import basins
-from jaxnh.analyses.cascade import doubling
-from jaxnh.analyses.continuation import branches, curves
-from jaxnh.analyses.covariant import covariant
-from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.manifolds import manifolds
-from jaxnh.analyses.orbits import orbits
-from jaxnh.analyses.periodic import period
-from jaxnh.analyses.reversal import reversal
-from jaxnh.analyses.rotation import rotation
-from jaxnh.analyses.tori import tori
-from jaxnh.analyses.trajectories import diagram, poincare, portrait
-from jaxnh.analyses.transients import transients
-from jaxnh.analyses.transport import transport
-from jaxnh.analyses.windows import windows
 
-_MODULES = (
-    doubling,
-    lyapunov,
-    period,
-    portrait,
-    poincare,
-    diagram,
-    chaos01,
-    verdict,
-    basins,
-    branches,
-    curves,
-    windows,
-    reversal,
-    orbits,
-    covariant,
-    transients,
-    rotation,
-    tori,
-    transport,
-    manifolds,
-)
+_HOMES = {
+    "doubling": "cascade.doubling",
+    "lyapunov": "exponents.lyapunov",
+    "period": "periodic.period",
+    "portrait": "trajectories.portrait",
+    "poincare": "trajectories.poincare",
+    "diagram": "trajectories.diagram",
+    "chaos01": "chaos01",
+    "verdict": "verdict",
+    "basins": "basins.basins",
+    "branches": "continuation.branches",
+    "curves": "continuation.curves",
+    "windows": "windows.windows",
+    "reversal": "reversal.reversal",
+    "orbits": "orbits.orbits",
+    "covariant": "covariant.covariant",
+    "transients": "transients.transients",
+    "rotation": "rotation.rotation",
+    "tori": "tori.tori",
+    "transport": "transport.transport",
+    "manifolds": "manifolds.manifolds",
+}
 
-ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}
+
+class _Registry(Mapping[str, Analysis]):
+    """Analyses by their key in YAML, in the order in which a run makes them."""
+
+    def __getitem__(self, name: str) -> Analysis:
+        return import_module(f"jaxnh.analyses.{_HOMES[name]}").ANALYSIS
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_HOMES)
+
+    def __len__(self) -> int:
+        return len(_HOMES)
+
+    def __contains__(self, name: object) -> bool:
+        return name in _HOMES
+
+
+ANALYSES: Mapping[str, Analysis] = _Registry()
 """Every analysis by its key in YAML."""
 
-GROUPS: dict[str, Analysis] = {
-    group: analysis
-    for name, analysis in ANALYSES.items()
-    for group in (name, *(analysis.whole.brings if analysis.whole else ()))
-}
-"""The analysis that makes a group of a result, by its name."""
+
+def analysis_of(group: str) -> Analysis | None:
+    """Return the analysis that makes a group of a result, by the name of the group; None where none does."""
+    if group in ANALYSES:
+        return ANALYSES[group]
+    return next((each for each in ANALYSES.values() if each.whole and group in each.whole.brings), None)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from jaxnh.analyses.registry import GROUPS
+from jaxnh.analyses.registry import analysis_of
 from jaxnh.cli.inspection import failed_in
 from jaxnh.cli.terminal import show
 from jaxnh.config.messages import join_words
@@ -55,9 +55,10 @@ def _show_table(experiment: Experiment, path: Path, name: str) -> None:
     """The table of an analysis that has one, beside published values."""
     console = Console()
     console = console if console.is_terminal else Console(width=_LOG_WIDTH)
-    if name in GROUPS[name].other_tables:
-        console.print(show(GROUPS[name].other_tables[name](read_group(path, name))))
-    draw = GROUPS[name].table if GROUPS[name].name == name else None
+    analysis = analysis_of(name)
+    if analysis and name in analysis.other_tables:
+        console.print(show(analysis.other_tables[name](read_group(path, name))))
+    draw = analysis.table if analysis and analysis.name == name else None
     if draw is None:
         return
     published = (experiment.compare or {}).get(name)

@@ -15,8 +15,8 @@ from jax.typing import ArrayLike
 
 from jaxnh.analyses.base import Analysis
 from jaxnh.analyses.batch import Axis
-from jaxnh.analyses.options.base import Options
-from jaxnh.analyses.registry import ANALYSES, GROUPS
+from jaxnh.analyses.options import OPTIONS, Options
+from jaxnh.analyses.registry import ANALYSES, analysis_of
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import Requested, batches
@@ -196,9 +196,9 @@ class Session:
             analysis, options = _name_of(analysis), analysis
         if isinstance(analysis, type):
             raise InputError(f"options are made by a call, as jaxnh.{analysis.__name__.removesuffix('Options')}()")
-        if analysis not in GROUPS:
+        asked_for = analysis_of(analysis)
+        if asked_for is None:
             raise InputError(f"there is no analysis {analysis}; known are {', '.join(ANALYSES)}")
-        asked_for = GROUPS[analysis]
         self._check_arguments(asked_for, options, axes)
         return self.groups({**dict.fromkeys(asked_for.options.needs), asked_for.name: options}, **axes)[analysis]
 
@@ -322,8 +322,8 @@ class Session:
 
 def _name_of(options: Options) -> str:
     """The name of the analysis that options are of."""
-    for name, analysis in ANALYSES.items():
-        if type(options) is analysis.options:
+    for name, known in OPTIONS.items():
+        if type(options) is known:
             return name
     raise InputError(f"there is no analysis with options {type(options).__name__}")
 

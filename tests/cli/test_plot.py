@@ -15,7 +15,7 @@ import xarray as xr
 from matplotlib.image import imread
 
 from jaxnh import plot
-from jaxnh.analyses.registry import ANALYSES, GROUPS
+from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.experiment import load
 from jaxnh.plotting import results as figures
 from jaxnh.plotting.descriptions import describe
@@ -43,6 +43,7 @@ analyses:
   windows: {max_period: 1, transient: 30, levels: 0, crisis: 0}
   transients: {n_starts: 16, box: {x1: [-0.1, 0.1]}, max_periods: 16}
   manifolds: {n_starts: 2, box: {x1: [-0.1, 0.1]}, length: 0.1, kind: unstable}
+  transport: {transient: 1, periods: 256, path: [x1]}
 """
 OVER_TWO_AXES = {"curves": "bifurcation_curves", "codimension_two": "special_points"}
 """Groups of analyses that need two, and their panels."""
@@ -70,7 +71,8 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     config.write_text(CONFIG + "".join(f"  {name}: {json.dumps(dict(ANALYSES[name].brief))}\n" for name in others))
     path, *_ = result("plot_everything", config)
     groups = xr.open_datatree(path, engine="h5netcdf").children
-    assert set(groups) == set(GROUPS) - set(OVER_TWO_AXES)
+    brought = {name for each in ANALYSES.values() if each.whole for name in each.whole.brings}
+    assert set(groups) == (set(ANALYSES) | brought) - set(OVER_TWO_AXES)
     kinds = {kind_of(describe(name, group.to_dataset())) for name, group in groups.items()}
     assert kinds - {""} == set(PANELS) - set(OVER_TWO_AXES.values())
     drawing = figures.figure(path)

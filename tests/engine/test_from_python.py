@@ -319,5 +319,6 @@ def test_options_are_typed():
     from jaxnh.analyses.registry import ANALYSES
 
     for name, analysis in ANALYSES.items():
+        assert name == analysis.name
         assert getattr(jaxnh, name.capitalize()) is analysis.options
         assert name.capitalize() in jaxnh.__all__

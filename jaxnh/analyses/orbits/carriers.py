@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from scipy.spatial import KDTree
 
 from jaxnh.analyses.base import LANE, Entry, flag, number_variable, variable
 from jaxnh.analyses.batch import LaneRunner
@@ -54,6 +53,8 @@ def places_of_orbits(
         u: points of the motions that have settled.
         count: points of each motion.
     """
+    from scipy.spatial import KDTree  # here, as it takes a tenth of a second to import
+
     batch = part.batch
     motion = points_after(batch, lanes, u, 0, count)
     angles = np.array(batch.chart.angles)
