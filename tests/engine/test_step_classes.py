@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import heyoka as hy
 import jax
 import numpy as np
@@ -19,8 +21,14 @@ from jaxnh.engine.axes import points
 from jaxnh.engine.compute import batch_of, compute
 from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
+from jaxnh.engine.progress import NullProgress
+from jaxnh.engine.run import RunOptions, run_to_file
+from jaxnh.exceptions import Stopped
 from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SOLVERS
+from jaxnh.storage import tiles
+from jaxnh.storage.hdf5 import read_attrs
+from tests.helpers.jobs import content
 from tests.helpers.kept_programs import lanes_with_kept_programs
 
 TARGET, LANES, FAST = 1e-6, 100, 1
@@ -256,3 +264,54 @@ def test_steps_that_are_taken_are_the_mean_and_bits_those_of_a_lane_alone(lanes)
     np.testing.assert_array_equal(computed(experiment, plan, lanes, [(0, 1), (1, 40), (40, LANES)]), whole)
     fast = rates() > 10.0
     np.testing.assert_allclose(whole[fast], computed(experiment, common, lanes)[fast], atol=1e-12)
+
+
+# ---- files
+
+
+TWO_AXES = """\
+system: {file: oscillator.py, push: 0.3}
+sweep:
+  rate: {values: [1.0, 1.1, 60.0, 1.2, 1.3, 1.4, 1.15, 1.25]}
+  x: {values: [0.5, 1.0, 1.5, 2.0]}
+initial: {v: 0.0}
+accuracy: {target: 1.0e-6}
+analyses:
+  poincare: {transient: 40, strobes: 2}
+  lyapunov: {transient: 8, periods: 32, exponents: 1, method: averages}
+"""
+SWEEPS = {
+    "clock": lambda: experiment_of("clock", analysis=f"{POINCARE}, {EXPONENT}"),
+    "time": lambda: experiment_of("time"),
+    "section": lambda: experiment_of("section"),
+    "two axes": lambda: Experiment.from_text(TWO_AXES, SOURCE % CLOCK),
+}
+
+
+def written(experiment, path, check=lambda: None, **how):
+    with mock.patch("jaxnh.engine.run.LaneExecutor", lanes_with_kept_programs):
+        run_to_file(experiment, path, RunOptions(tile=16, **how), NullProgress(), check)
+    return {name: item for name, item in content(path).items() if name != "/"} if path.exists() else {}
+
+
+@pytest.mark.usefixtures("any_size")
+@pytest.mark.parametrize("kind", SWEEPS)
+def test_files_are_the_same_in_parts_and_resumed(kind, tmp_path):
+    """Whatever runs are cut into, each lane keeps its class and its bits."""
+    experiment = SWEEPS[kind]()
+    path = tmp_path / "whole.h5"
+    whole = written(experiment, path)
+    classes = classes_of(read_attrs(path)["step_classes"])
+    assert len(classes) == np.prod([len(axis.values) for axis in experiment.axes])
+    assert classes.max() >= 3
+    for k in (2, 1):
+        assert not written(experiment, tmp_path / "parts.h5", part=(k, 2))
+    assert written(experiment, tmp_path / "parts.h5", merge=True) == whole
+
+    def stop():
+        if len(list(tiles.folder_of(tmp_path / "stopped.h5").glob("0*.h5"))) >= 1:
+            raise Stopped("stopped")
+
+    with pytest.raises(Stopped):
+        written(experiment, tmp_path / "stopped.h5", stop)
+    assert written(experiment, tmp_path / "stopped.h5") == whole
