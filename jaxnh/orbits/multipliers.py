@@ -11,6 +11,7 @@ from jaxtyping import Complex, Float
 
 _TURNS = 4  # directions whose growth differs by more than 10³ a turn are then apart to rounding; others need not be
 _APART = 1e-12
+_DIGITS = 3.0  # decades of the condition of a product of blocks, at most
 
 
 def multipliers(blocks: Float[np.ndarray, "... n d d"]) -> Complex[np.ndarray, "... d"]:
@@ -26,6 +27,30 @@ def multipliers(blocks: Float[np.ndarray, "... n d d"]) -> Complex[np.ndarray, "
     order = np.lexsort((np.imag(values), -np.abs(values)), axis=-1)
     values = np.take_along_axis(values, order, axis=-1)
     return np.where(finite[:, None], values, np.nan).reshape(*blocks.shape[:-3], d)
+
+
+def merged(blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndarray, "lanes k d d"]:
+    """Return products of neighbouring blocks with the same product of all, as few as lose no more than three digits.
+
+    The condition of a product is at most the product of the conditions.
+    """
+    lanes, n, d, _ = blocks.shape
+    with np.errstate(all="ignore"):
+        decades = np.log10(np.linalg.cond(np.where(np.isfinite(blocks), blocks, 0.0))).max(axis=0)
+    decades = np.where(np.isfinite(decades), decades, _DIGITS)
+    groups: list[int] = []
+    spent = np.inf
+    for number, each in enumerate(decades.tolist()):
+        spent += each
+        if spent > _DIGITS:
+            groups.append(number)
+            spent = each
+    ends = np.array([*groups, n])
+    products = np.array(blocks[:, ends[:-1]])
+    for step in range(1, int(np.diff(ends).max())):
+        (going,) = np.nonzero(np.diff(ends) > step)
+        products[:, going] = blocks[:, ends[going] + step] @ products[:, going]
+    return products
 
 
 def angle_cosine(values: Complex[np.ndarray, "lanes d"]) -> Float[np.ndarray, " lanes"]:

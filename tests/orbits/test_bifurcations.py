@@ -11,7 +11,7 @@ from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.continuation.paths import ENDS, STEPS
-from jaxnh.orbits.multipliers import multipliers
+from jaxnh.orbits.multipliers import merged, multipliers
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.flows.duffing_resonance import by_scipy, duffing
@@ -101,6 +101,26 @@ def test_multipliers_far_apart():
     pair = 0.9**8 * np.exp(2.4j)
     exact = np.array([1e20, pair.conj(), pair, 1e-20])
     assert np.all(np.abs(multipliers(blocks) - exact) < 1e-11 * np.abs(exact))
+
+
+def test_products_of_many_blocks_keep_small_multipliers():
+    """Blocks S_{i+1} D S_i⁻¹ around a circle of bases have the multipliers D^n, here over 200 decades."""
+    rng = np.random.default_rng(3)
+    diagonal = np.array([1.01, 0.99, 0.75, 0.55])
+    bases = np.linalg.qr(rng.normal(size=(2, 900, 4, 4)))[0] @ (np.eye(4) + 0.1 * np.triu(np.ones((4, 4)), 1))
+    blocks = np.roll(bases, -1, axis=1) @ (diagonal[:, None] * np.linalg.inv(bases))
+    fewer = merged(blocks)
+    assert fewer.shape[1] < blocks.shape[1] / 4
+    logarithms = np.log(np.abs(multipliers(fewer)))
+    np.testing.assert_allclose(logarithms, np.tile(900 * np.log(diagonal), (2, 1)), rtol=0.0, atol=1e-9)
+
+
+def test_products_of_blocks_that_are_not_finite():
+    blocks = np.broadcast_to(np.eye(2), (2, 10, 2, 2)).copy()
+    blocks[0, 4] = np.nan
+    values = multipliers(merged(blocks))
+    assert np.isnan(values[0]).all()
+    np.testing.assert_allclose(values[1], 1.0)
 
 
 # ---- flows with a clock whose bifurcations are known; one period is a unit of time, and a map is exact to roundings

@@ -21,7 +21,7 @@ from jaxnh.orbits.collocation.equations import (
 )
 from jaxnh.orbits.collocation.newton import BoundaryOf, correct, on_adapted_mesh, put, take
 from jaxnh.orbits.collocation.paths import halved, on_mesh
-from jaxnh.orbits.multipliers import multipliers
+from jaxnh.orbits.multipliers import merged, multipliers
 
 _MOST = 6400  # intervals of a mesh
 _OF_MULTIPLIERS = 100.0
@@ -98,7 +98,7 @@ def cycle_multipliers(
     Intervals that are long for a fast rate change the sign of what they do to it, or stop its growth; the error is then
     as large as what is missing.
     """
-    values = multipliers(floquet_blocks(problem, solution, blocks))
+    values = multipliers(merged(floquet_blocks(problem, solution, blocks)))
     jacobian = rates_on(problem, solution).jacobian
     divergence = np.sum(solution.path.measure * np.trace(jacobian, axis1=3, axis2=4), axis=(1, 2))
     with np.errstate(over="ignore"):
