@@ -34,7 +34,7 @@ def merged(blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndarray, "lanes
 
     The condition of a product is at most the product of the conditions.
     """
-    lanes, n, d, _ = blocks.shape
+    n = blocks.shape[1]
     with np.errstate(all="ignore"):
         decades = np.log10(np.linalg.cond(np.where(np.isfinite(blocks), blocks, 0.0))).max(axis=0)
     decades = np.where(np.isfinite(decades), decades, _DIGITS)
