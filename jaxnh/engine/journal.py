@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from time import perf_counter
 from typing import Any
 
 import jax
@@ -13,9 +14,15 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.tiles import Call, Tiles, count_of
 from jaxnh.storage.calls import CallJournal, JournalEntry
 
+_WORTH_KEEPING = 0.002
+"""Seconds of a tile: what takes less is computed again in the time in which it would be written and read."""
+
 
 class _JournaledTiles:
-    """Tiles whose results are kept in a journal, or taken from it where it has them."""
+    """Tiles whose results are kept in a journal, or taken from it where it has them.
+
+    Of a call the tiles before the first that takes too little time are kept.
+    """
 
     def __init__(self, tiles: Tiles, journal: CallJournal) -> None:
         self._tiles, self._journal = tiles, journal
@@ -31,9 +38,13 @@ class _JournaledTiles:
                 first = entry.first + len(entry.leaves[0])
         if first == count_of(call.lanes):
             return
+        begin, worth_keeping = perf_counter(), True
         for begun, result in self._tiles.run(call, first):
-            self._journal.add(JournalEntry(number, begun, name, tuple(jax.tree.leaves(result))))
+            worth_keeping &= perf_counter() - begin >= _WORTH_KEEPING
+            if worth_keeping:
+                self._journal.add(JournalEntry(number, begun, name, tuple(jax.tree.leaves(result))))
             yield begun, result
+            begin = perf_counter()
 
 
 def _result_structure(call: Call) -> Any:

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxnh.engine import journal
 from jaxnh.engine.executor import lanes as engine
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.journal import with_journal
@@ -42,7 +43,9 @@ analyses:
 # Every call is written; at the end of one of them, some numbers of which are given, the process does this to itself.
 HEAD = """
 import os, time
+import jaxnh.engine.journal as journal
 import jaxnh.storage.calls as storage
+journal._WORTH_KEEPING = 0.0
 storage._OFTEN, storage._BYTES = 0.0, 1 << 60
 add, number = storage.CallJournal.add, iter(range(10**6))
 def added(self, part):
@@ -52,6 +55,12 @@ def added(self, part):
         time.sleep({wait})
 storage.CallJournal.add = added
 """
+
+
+@pytest.fixture(autouse=True)
+def every_call_is_kept(monkeypatch):
+    """However little time it takes, as all calls of these small jobs do."""
+    monkeypatch.setattr(journal, "_WORTH_KEEPING", 0.0)
 
 
 def calls_of(batch, *arguments):
@@ -150,6 +159,19 @@ class StopsAt:
 
 def _grown(by, x, pair):
     return {"sum": x + pair[0] + by, "rest": (pair[1], x > 3.0)}
+
+
+def test_calls_that_take_no_time_are_not_kept(tmp_path, monkeypatch):
+    """They would be written and read in the time in which they are computed; what is given is the same."""
+    monkeypatch.setattr(journal, "_WORTH_KEEPING", np.inf)
+    x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
+    lanes = LaneExecutor(tile=4)
+    with (
+        mock.patch.object(CallJournal, "add", autospec=True) as add,
+        with_journal(lanes, CallJournal(tmp_path, job(), job().cutting.pieces())) as keeping,
+    ):
+        same(keeping(_grown, (np.float64(1.0),), (x, pair)), lanes(_grown, (np.float64(1.0),), (x, pair)))
+    assert not add.called
 
 
 def test_call_stopped_between_tiles(tmp_path):

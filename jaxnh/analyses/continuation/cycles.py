@@ -34,7 +34,7 @@ from jaxnh.orbits.collocation.newton import correct
 from jaxnh.orbits.continuation.kinds import DOUBLING
 from jaxnh.orbits.continuation.paths import START, StepControl
 
-_TILE = 256  # points
+_TILE = 1024  # points
 _TARGET = 1e-7  # error of the first cycle of a branch, that its mesh is chosen by
 _SAME = 1e-4  # of invariants, in sizes and widths: the cycle is on the branch
 _NEAR = 0.1  # likewise: it may be
