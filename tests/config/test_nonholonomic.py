@@ -232,11 +232,47 @@ def snakeboard(t, p):
     return (x, y, theta), (u,), (u * np.cos(theta), u * np.sin(theta), w, faster)
 
 
+def two_wheeled_carriage(t, p):
+    """Chaplygin's sleigh with the inertia of the wheels: as masses J/r² along the axle's normal, at their places."""
+    x, y, theta, left, right, u, w = numbers(22, 7)
+    m, a, h, r = p["mass"], p["ahead"], p["gauge"], p["radius"]
+    rolled = 2 * p["wheel"] / r**2
+    along = m * a * w**2 - p["damping"] * u - p["push"]
+    about = -m * a * u * w - p["turn_damping"] * w + 2 * h * p["swing"] * np.sin(p["omega"] * t)
+    rates = along / (m + rolled), about / (p["inertia"] + m * a**2 + rolled * h**2)
+    wheels = (u - h * w) / r, (u + h * w) / r
+    return (x, y, theta, left, right), (u, w), (u * np.cos(theta), u * np.sin(theta), w, *wheels, *rates)
+
+
+def pursuit(t, p):
+    """A velocity s e at the bearing from the line of sight, which turns at its own rate θ': v' = s θ' n."""
+    q, target = numbers(23, 4), numbers(24, 2)
+    line = q[2:] - q[:2]
+    heading = np.arctan2(line[1], line[0]) + p["bearing"]
+    e, n = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    v = p["speed"] * e
+    turn = (line[0] * (target - v)[1] - line[1] * (target - v)[0]) / (line**2).sum(0)
+    forced = p["push"] * np.array([np.cos(p["omega"] * t), np.sin(p["omega"] * t)]) - p["stiffness"] * q[2:]
+    return tuple(q), (*v, *target), (*v, *target, *(p["speed"] * turn * n), *forced)
+
+
+def two_particles(t, p):
+    """A velocity √c n of each with n' = (F - (F·n) n)/√c; the friction drops out."""
+    q, n = numbers(25, 4).reshape(2, 2, STATES), numbers(26, 4).reshape(2, 2, STATES)
+    n /= np.sqrt((n**2).sum(1))[:, None]
+    g, (x, y), a, b = 1 + np.sin(p["omega"] * t), np.moveaxis(q, 1, 0), p["a"], p["b"]
+    force = np.stack([b * y - a * g * x - g * x**3, b * x - g * y - a * g * y**3], axis=1)
+    force += p["coupling"] * (q[::-1] - q)
+    v, rates = np.sqrt(p["c"]) * n, force - (force * n).sum(1)[:, None] * n
+    return tuple(q.reshape(4, -1)), tuple(v.reshape(4, -1)), (*v.reshape(4, -1), *rates.reshape(4, -1))
+
+
 SYSTEMS = {
     system.__name__: system
     for system in (
         oscillating_mass, sleigh_in_a_valley, suslov, appell_hamel, parallel_velocities, thermostat, speed_in_space,
-        sleigh_with_rotor, roller_racer, rotators, chaplygin_top, rubber_ball, snakeboard,
+        sleigh_with_rotor, roller_racer, rotators, chaplygin_top, rubber_ball, snakeboard, two_wheeled_carriage, pursuit,
+        two_particles,
     )
 }  # fmt: skip
 
