@@ -1,4 +1,4 @@
-"""A two-wheeled carriage: a platform on one axle, whose two wheels roll without slipping and are driven by a motor each.
+"""A two-wheeled carriage: a platform on one axle, whose two wheels roll without slipping, a motor on each.
 
 Borisov, Kilin and Mamaev (Regul. Chaotic Dyn. 20 (2015) 752) prove that wheels do to a vehicle what skates do: the
 carriage is Chaplygin's sleigh with more inertia, J / radius**2 a wheel at its place. The motors push backwards with a
@@ -31,8 +31,9 @@ def system(
         along, across, turn, left, right = u
         return across, along - gauge * turn - radius * left, along + gauge * turn - radius * right
 
-    q = ("x", "y", "theta", "phi_left", "phi_right")
-    names = {"coordinates": q, "angles": ("theta", "phi_left", "phi_right"), "ignorable": ("x", "y", "phi_left", "phi_right")}
+    places, wheels = ("x", "y"), ("phi_left", "phi_right")
+    angles = ("theta", *wheels)
+    names = {"coordinates": (*places, *angles), "angles": angles, "ignorable": (*places, *wheels)}
     dependent = ("across", "left", "right")
     quasi = {"quasi_velocities": ("along", "across", "turn", "left", "right"), "dependent": dependent}
     return {"T": T, "Q": Q, "f": f, "rates": rates, "period": 2 * jnp.pi / omega, **quasi, **names}

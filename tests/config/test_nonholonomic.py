@@ -344,8 +344,12 @@ def test_a_pursuit_of_bouguer():
     start = "{x: 1.0, y: 0.0, X: 0.0, Y: 0.0, x_dot: -0.5, y_dot: 0.0}"
     made = jaxnh.load(
         FOLDER / "pursuit.yaml",
-        [f"initial={start}", "system.stiffness=0.0", "system.push=0.0", "system.bearing=0.0", "system.omega=16.0"]
-        + ["sweep={speed: {values: [0.5]}, Y_dot: {values: [0.3, 0.8]}}", "accuracy={solver: verner9, steps: 32}"],
+        [
+            f"initial={start}",
+            *("system.stiffness=0.0", "system.push=0.0", "system.bearing=0.0", "system.omega=16.0"),
+            "sweep={speed: {values: [0.5]}, Y_dot: {values: [0.3, 0.8]}}",
+            "accuracy={solver: verner9, steps: 32}",
+        ],
     )
     data = session_of(made).run(jaxnh.Poincare(transient=0, strobes=5))
     x, y, target = (data[name].to_numpy()[0] for name in ("x", "y", "Y"))
