@@ -278,21 +278,16 @@ def system(swing=0.5, damping=0.0, pivot=0.4, reach=1.0):
 """
 
 
-def test_a_roller_racer_whose_angle_is_given_speeds_up_for_ever_but_for_friction():
+def test_a_roller_racer_whose_angle_is_given_speeds_up_for_ever():
     """Bizyaev, Borisov and Mamaev (Regul. Chaotic Dyn. 23 (2018) 983), as commonly quoted.
 
     The speed obeys one linear equation with a period, whose mean growth is zero without friction: the velocity grows as t.
-    With friction it tends to a periodic solution.
     """
     start = "system: {file: racer.py}\ninitial: {along: 0.2}\naccuracy: {solver: verner9, steps: 60}\n"
     free = start + "sweep: {swing: {values: [0.8]}}\nanalyses: {transport: {growth: [along], periods: 512}}"
     data = groups_of(free, RACER)["transport"]
     assert np.all(np.abs(data["along_growth"] - 1.0) <= data["along_growth_error"])
     assert float(data["along_growth_error"].max()) < 0.1
-    braked = start + "sweep: {damping: {values: [0.1, 0.3]}}\nanalyses: {poincare: {transient: 256, strobes: 2}}"
-    speed = groups_of(braked, RACER)["poincare"]["along"].to_numpy()
-    assert np.ptp(speed, axis=1).max() < 1e-10
-    assert np.abs(speed).min() > 0.01
 
 
 def test_kinds_of_motion_of_the_particle_at_constant_speed():
