@@ -8,6 +8,7 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import jaxnh
 from jaxnh.maps.build import make_return_map
@@ -232,11 +233,47 @@ def snakeboard(t, p):
     return (x, y, theta), (u,), (u * np.cos(theta), u * np.sin(theta), w, faster)
 
 
+def two_wheeled_carriage(t, p):
+    """Chaplygin's sleigh with the inertia of the wheels: as masses J/r² along the axle's normal, at their places."""
+    x, y, theta, left, right, u, w = numbers(22, 7)
+    m, a, h, r = p["mass"], p["ahead"], p["gauge"], p["radius"]
+    rolled = 2 * p["wheel"] / r**2
+    along = m * a * w**2 - p["damping"] * u - p["push"]
+    about = -m * a * u * w - p["turn_damping"] * w + 2 * h * p["swing"] * np.sin(p["omega"] * t)
+    rates = along / (m + rolled), about / (p["inertia"] + m * a**2 + rolled * h**2)
+    wheels = (u - h * w) / r, (u + h * w) / r
+    return (x, y, theta, left, right), (u, w), (u * np.cos(theta), u * np.sin(theta), w, *wheels, *rates)
+
+
+def pursuit(t, p):
+    """A velocity s e at the bearing from the line of sight, which turns at its own rate θ': v' = s θ' n."""
+    q, target = numbers(23, 4), numbers(24, 2)
+    line = q[2:] - q[:2]
+    heading = np.arctan2(line[1], line[0]) + p["bearing"]
+    e, n = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    v = p["speed"] * e
+    turn = (line[0] * (target - v)[1] - line[1] * (target - v)[0]) / (line**2).sum(0)
+    forced = p["push"] * np.array([np.cos(p["omega"] * t), np.sin(p["omega"] * t)]) - p["stiffness"] * q[2:]
+    return tuple(q), (*v, *target), (*v, *target, *(p["speed"] * turn * n), *forced)
+
+
+def two_particles(t, p):
+    """A velocity √c n of each with n' = (F - (F·n) n)/√c; the friction drops out."""
+    q, n = numbers(25, 4).reshape(2, 2, STATES), numbers(26, 4).reshape(2, 2, STATES)
+    n /= np.sqrt((n**2).sum(1))[:, None]
+    g, (x, y), a, b = 1 + np.sin(p["omega"] * t), np.moveaxis(q, 1, 0), p["a"], p["b"]
+    force = np.stack([b * y - a * g * x - g * x**3, b * x - g * y - a * g * y**3], axis=1)
+    force += p["coupling"] * (q[::-1] - q)
+    v, rates = np.sqrt(p["c"]) * n, force - (force * n).sum(1)[:, None] * n
+    return tuple(q.reshape(4, -1)), tuple(v.reshape(4, -1)), (*v.reshape(4, -1), *rates.reshape(4, -1))
+
+
 SYSTEMS = {
     system.__name__: system
     for system in (
         oscillating_mass, sleigh_in_a_valley, suslov, appell_hamel, parallel_velocities, thermostat, speed_in_space,
-        sleigh_with_rotor, roller_racer, rotators, chaplygin_top, rubber_ball, snakeboard,
+        sleigh_with_rotor, roller_racer, rotators, chaplygin_top, rubber_ball, snakeboard, two_wheeled_carriage, pursuit,
+        two_particles,
     )
 }  # fmt: skip
 
@@ -296,6 +333,73 @@ def test_a_snakeboard_speeds_up_by_its_drive_gait():
         rate = np.mean(slope / root * 0.2 * np.sin(t))
         assert abs((u[lane, -1] - u[lane, 0]) * root[0] - rate * 64 * 2 * np.pi) < 1e-9
         assert abs(data["along_growth"][lane] - 1.0) <= data["along_growth_error"][lane]
+
+
+def test_a_pursuit_of_bouguer():
+    """A target that leaves the line of sight at a right angle, k times as fast, is pursued along Bouguer's curve.
+
+    With the target on the axis x = 0 and the pursuer from x = 1, y = (x^(1+k)/(1+k) - x^(1-k)/(1-k))/2 + k/(1 - k²), and
+    the tangent meets the axis at the target. Steps of order nine leave rounding.
+    """
+    start = "{x: 1.0, y: 0.0, X: 0.0, Y: 0.0, x_dot: -0.5, y_dot: 0.0}"
+    made = jaxnh.load(
+        FOLDER / "pursuit.yaml",
+        [
+            f"initial={start}",
+            *("system.stiffness=0.0", "system.push=0.0", "system.bearing=0.0", "system.omega=16.0"),
+            "sweep={speed: {values: [0.5]}, Y_dot: {values: [0.3, 0.8]}}",
+            "accuracy={solver: verner9, steps: 32}",
+        ],
+    )
+    data = session_of(made).run(jaxnh.Poincare(transient=0, strobes=5))
+    x, y, target = (data[name].to_numpy()[0] for name in ("x", "y", "Y"))
+    k = np.array([[0.6], [1.6]])
+    slope = 0.5 * (x**k - x**-k)
+    assert np.abs(y - 0.5 * (x ** (1 + k) / (1 + k) - x ** (1 - k) / (1 - k)) - k / (1 - k**2)).max() < 1e-12
+    assert np.abs(target - (y - x * slope)).max() < 1e-12
+    assert x.max() - x.min() > 0.3
+
+
+@pytest.mark.slow
+def test_exponents_of_a_pursuit():
+    """Those of its target are zero; the pursuer's sum to the mean of -s cos(bearing) / distance, the flow's divergence.
+
+    That mean is taken by DOP853 with the target in closed form, over 200 periods after 20, within a few over that time.
+    """
+    bearings, speed = (0.0, 0.9), 0.6
+    made = jaxnh.load(FOLDER / "pursuit.yaml", [f"sweep={{bearing: {{values: {list(bearings)}}}}}"])
+    data = session_of(made).run(jaxnh.Lyapunov(transient=64, periods=128, exponents=6))
+    ours, error = data["exponents"].to_numpy(), data["exponents_error"].to_numpy()
+    own = np.sqrt(2.618)
+    forced = 2.427 / (2.618 - 1.0)
+    for lane, bearing in enumerate(bearings):
+
+        def rhs(t, z, bearing=bearing):
+            free = (1.9 - forced) * np.cos(own * t) + 1j * (2.147 - forced) / own * np.sin(own * t)
+            line = forced * np.exp(1j * t) + free - (z[0] + 1j * z[1])
+            v = speed * np.exp(1j * bearing) * line / abs(line)
+            return v.real, v.imag, -speed * np.cos(bearing) / abs(line)
+
+        times = 2 * np.pi * np.array([20.0, 220.0])
+        path = solve_ivp(rhs, (0.0, times[1]), (0.0, 0.0, 0.0), "DOP853", times, rtol=1e-9, atol=1e-9)
+        mean = np.diff(path.y[2])[0] / np.diff(times)[0]
+        assert np.all(np.abs(ours[lane, :4]) <= error[lane, :4] + 1e-3)
+        assert abs(ours[lane, 4:].sum() - mean) <= error[lane, 4:].sum() + 2 / np.diff(times)[0]
+
+
+@pytest.mark.slow
+def test_two_coupled_particles_are_hyperchaotic():
+    """Exactly two exponents are positive; without the spring both are that of one particle, by its own kicks."""
+    made = jaxnh.load(FOLDER / "two_particles.yaml", ["sweep={coupling: {values: [0.0, 0.04]}}"])
+    data = session_of(made).run(jaxnh.Lyapunov(transient=128, periods=1024, exponents=6))
+    ours, error = data["exponents"].to_numpy(), data["exponents_error"].to_numpy()
+    assert np.all(ours[:, :2] - error[:, :2] > 0.0)
+    assert np.all(ours[:, 2:] + error[:, 2:] < 0.0)
+    one = jaxnh.Session(jaxnh.constant_speed(b=5.3), target=1e-6).run(
+        jaxnh.Lyapunov(transient=128, periods=4096, exponents=1)
+    )
+    alone, bar = (float(one[name].squeeze()) for name in ("exponents", "exponents_error"))
+    assert np.all(np.abs(ours[0, :2] - alone) <= error[0, :2] + bar)
 
 
 def three_feet(state, p):

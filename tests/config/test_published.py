@@ -199,6 +199,97 @@ def test_friction_ends_that_acceleration_on_a_limit_cycle():
     assert data["along"].to_numpy().min() > 0.5
 
 
+SKATES = """
+import jax.numpy as jnp
+
+def system(push=0.8, swing=0.3, gauge=0.4, rolled=0.1):
+    def rates(q, u, t):
+        c, s = jnp.cos(q[2]), jnp.sin(q[2])
+        return u[0] * c - u[1] * s, u[0] * s + u[1] * c, u[2]
+
+    def T(q, u, t):  # of the platform, and of the inertia of wheels at the places of two skates
+        left, right = u[0] - gauge * u[2], u[0] + gauge * u[2]
+        platform = u[0] ** 2 + (u[1] + 0.5 * u[2]) ** 2 + 0.2 * u[2] ** 2
+        return 0.5 * (platform + rolled * (left**2 + right**2))
+
+    def Q(q, u, t):
+        return -0.3 * u[0] - push, 0.0, -0.3 * u[2] + 2.0 * gauge * swing * jnp.sin(t)
+
+    def f(q, u, t):
+        return (u[1],)
+
+    names = {"coordinates": ("x", "y", "theta"), "angles": ("theta",), "ignorable": ("x", "y")}
+    quasi = {"rates": rates, "quasi_velocities": ("along", "across", "turn"), "dependent": ("across",)}
+    return {"T": T, "Q": Q, "f": f, "period": 2 * jnp.pi, **quasi, **names}
+"""
+
+
+def test_a_vehicle_moves_on_wheels_as_on_skates():
+    """But for the angles of the wheels (Borisov, Kilin and Mamaev, Regul. Chaotic Dyn. 20 (2015) 752, abstract).
+
+    The carriage of the gallery and one on skates, which knows no wheels, by the same steps: rounding, which chaos
+    enlarges little in six periods.
+    """
+    sweep = "sweep={push: {values: [0.2, 0.6, 1.1]}}"
+    asked = ["accuracy={solver: verner9, steps: 60}", "analyses.poincare={transient: 0, strobes: 7}"]
+    asked += ["analyses.diagram=null", "analyses.lyapunov=null"]
+    wheels = of_config("two_wheeled_carriage", sweep, *asked)["poincare"]
+    config = "system: {file: skates.py}\ninitial: {along: -0.3, turn: 0.1}\nsweep: {push: {values: [0.2, 0.6, 1.1]}}\n"
+    config += "accuracy: {solver: verner9, steps: 60}\nanalyses: {poincare: {transient: 0, strobes: 7}}"
+    skates = groups_of(config, SKATES)["poincare"]
+    for name in ("along", "turn", "x", "y"):
+        if name in skates:
+            assert np.abs(wheels[name].to_numpy() - skates[name].to_numpy()).max() < 1e-11
+    assert np.ptp(skates["along"].to_numpy(), axis=1).min() > 0.05
+
+
+RACER = """
+import jax.numpy as jnp
+
+def system(swing=0.5, damping=0.0, pivot=0.4, reach=1.0):
+    def angle(t):
+        return swing * jnp.sin(t), swing * jnp.cos(t)
+
+    def rates(q, u, t):
+        c, s = jnp.cos(q[2]), jnp.sin(q[2])
+        return u[0] * c - u[1] * s, u[0] * s + u[1] * c, u[2]
+
+    def front(u, t):
+        (phi, phi_dot), side = angle(t), u[1] + pivot * u[2]
+        c, s = jnp.cos(phi), jnp.sin(phi)
+        return u[0] * c + side * s, -u[0] * s + side * c + reach * (u[2] + phi_dot)
+
+    def T(q, u, t):
+        forth, aside = front(u, t)
+        rear = u[0] ** 2 + (u[1] + 0.2 * u[2]) ** 2 + 0.3 * u[2] ** 2
+        return 0.5 * (rear + 0.6 * (forth**2 + aside**2) + 0.1 * (u[2] + angle(t)[1]) ** 2)
+
+    def Q(q, u, t):
+        c, s = jnp.cos(angle(t)[0]), jnp.sin(angle(t)[0])
+        drag = -damping * front(u, t)[0]
+        return -damping * u[0] + drag * c, drag * s, drag * pivot * s
+
+    def f(q, u, t):
+        return u[1], front(u, t)[1]
+
+    names = {"coordinates": ("x", "y", "theta"), "angles": ("theta",), "ignorable": ("x", "y")}
+    quasi = {"quasi_velocities": ("along", "across", "turn"), "dependent": ("across", "turn")}
+    return {"T": T, "Q": Q, "f": f, "rates": rates, "period": 2 * jnp.pi, **quasi, **names}
+"""
+
+
+def test_a_roller_racer_whose_angle_is_given_speeds_up_for_ever():
+    """Bizyaev, Borisov and Mamaev (Regul. Chaotic Dyn. 23 (2018) 983), as commonly quoted.
+
+    The speed obeys one linear equation with a period, whose mean growth is zero without friction: the velocity grows as t.
+    """
+    start = "system: {file: racer.py}\ninitial: {along: 0.2}\naccuracy: {solver: verner9, steps: 60}\n"
+    free = start + "sweep: {swing: {values: [0.8]}}\nanalyses: {transport: {growth: [along], periods: 512}}"
+    data = groups_of(free, RACER)["transport"]
+    assert np.all(np.abs(data["along_growth"] - 1.0) <= data["along_growth_error"])
+    assert float(data["along_growth_error"].max()) < 0.1
+
+
 def test_kinds_of_motion_of_the_particle_at_constant_speed():
     """Periods 1, 2 and 4 and chaos at b = 5.8, 2.5, 4.1 and 5.3 (figure 1 of the article)."""
     config = "system: {constraint: constant_speed}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1}\naccuracy: {target: 1.0e-6}\n"
