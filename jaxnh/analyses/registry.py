@@ -6,6 +6,7 @@ from jaxnh.analyses.basins import basins
 from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.continuation import branches, curves
 from jaxnh.analyses.covariant import covariant
+from jaxnh.analyses.edges import edges
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.manifolds import manifolds
 from jaxnh.analyses.orbits import orbits
@@ -39,6 +40,7 @@ _MODULES = (
     tori,
     transport,
     manifolds,
+    edges,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}
