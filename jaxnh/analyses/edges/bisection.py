@@ -58,6 +58,8 @@ def label_points(
     space: Space, of: Destinations, lanes: LaneRunner, u: Float[np.ndarray, "n d"], lane: Int[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n d"], Int[np.ndarray, " n"]]:
     """Return points as constraints leave them, and the attractors that they lead to."""
+    if not len(lane):
+        return u, lane
     p = select(dict(space.batch.p), lane)
     u, state = lanes(_on_constraints, (space.batch.system,), (u, p), tile=TILE)
     return np.array(u), destinations(of, lanes, state, lane)

@@ -68,19 +68,28 @@ def run(options: EdgesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datase
     of = Destinations(timed, timed.strobe(), [lane.targets for lane in known], options.max_periods)
     first = first_points(many, lanes)
     space = Space(batch, extent(batch, first.reshape(batch.count, options.n_starts, -1))[0])
-    in_time = first_points(many_timed, lanes).reshape(batch.count, options.n_starts, -1)
-    whole = Space(timed, extent(timed, in_time)[0])
+    whole = Space(timed, _halves_of_box(options, batch))
     pairs = _pairs(known, first, options.pairs)
     with lanes.stage(f"edges: {len(pairs.lane):,} boundaries", 0):
         states = track_edges(space, of, lanes, pairs, options.transient, options.max_returns, options.max_period)
     shocks, tried = None, np.zeros(0, int)
     if options.directions:
-        begun = _points(known, options.shock_points, in_time.shape[2])
-        directions = directions_in(in_time.shape[2], options.directions, options.seed)
+        begun = _points(known, options.shock_points, timed.chart.dimension)
+        directions = directions_in(timed.chart.dimension, options.directions, options.seed)
         with lanes.stage(f"edges: shocks of {len(begun.lane):,} points", 0):
             shocks, tried = least_shocks(whole, of, lanes, begun, directions, options.reach)
     made = Edges(space, whole, known, pairs, states, shocks, tried)
     return xr.Dataset(variables(options, lanes, made), attrs=section_attrs(batch))
+
+
+def _halves_of_box(options: EdgesOptions, batch: LaneBatch) -> Float[np.ndarray, "lanes d"]:
+    """Return the units of shocks: half the box in its coordinates, in others the modulus of the start or one."""
+    corners = [
+        random_start_batch(batch, 1, 0, {name: (side[k], side[k]) for name, side in options.box.items()})[0]
+        for k in (0, 1)
+    ]
+    points = [corner.without_section() for corner in corners]
+    return extent(batch.without_section(), np.stack([of.chart.host_points(of.start) for of in points], axis=1))[0]
 
 
 def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"], most: int) -> Boundary:

@@ -84,9 +84,10 @@ def least_shocks(
     of_each = np.bincount(group)
     best = tried.take(order[np.searchsorted(group[order], np.arange(len(of_each)))])
     crossing = np.isfinite(best.length)
-    refined = _refine(space, of, lanes, best.take(crossing))
-    for leaf, new in zip(best, refined, strict=True):
-        leaf[crossing] = new
+    if crossing.any():
+        refined = _refine(space, of, lanes, best.take(crossing))
+        for leaf, new in zip(best, refined, strict=True):
+            leaf[crossing] = new
     return best, of_each
 
 
@@ -132,7 +133,7 @@ def _refine(space: Space, of: Destinations, lanes: LaneRunner, best: Shocks) -> 
     pairs = [(i, j) for i in range(k) for j in range(i)]
     units, gain = np.eye(k), np.zeros(count)
     turns = np.concatenate([units, -units, *([units[i] + units[j]] for i, j in pairs)])
-    for angle in _ANGLES if k and count else ():
+    for angle in _ANGLES if k else ():
         here = _directions(space, best)
         basis = np.array([_orthogonal(direction) for direction in here])
         around = _along(space, of, lanes, best, _turned(here, basis, np.tile(angle * turns, (count, 1, 1))))
