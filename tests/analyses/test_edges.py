@@ -268,7 +268,9 @@ def test_a_cycle_between_cycles():
     """On a section: the unstable cycle r = 2, of the multiplier exp(4π rate), and half-widths of the box to it."""
     rate = np.array([0.2, 0.3])
     session = jaxnh.Session(rings, start={"x": 1.5, "y": 0.0}, target=1e-9).on(coordinate="y", direction="up")
-    data = session.run(jaxnh.Edges(n_starts=8, box={"x": (0.5, 3.5), "y": (-1.5, 1.5)}, pairs=2, directions=8), rate=rate)
+    data = session.run(
+        jaxnh.Edges(n_starts=8, box={"x": (0.5, 3.5), "y": (-1.5, 1.5)}, pairs=2, directions=8), rate=rate
+    )
     assert words(data, "kind") == {"saddle_orbit"}
     assert within(data, "x_edge", 2.0)
     assert within(data, "multiplier", np.exp(4 * np.pi * rate)[:, None])
