@@ -16,7 +16,7 @@ LEAST = 0.95 - 3 * np.sqrt(0.95 * 0.05 / 40)
 SHARE, LEFT, RIGHT = 0.4, 0.35, 0.2
 
 
-def henon(a=1.4, b=0.3, x=0.1, y=0.1):
+def henon(a=1.4, b=0.3):
     def image(s):
         x, y = s
         return 1.0 - a * x**2 + y, b * x
@@ -103,6 +103,6 @@ def test_orbits_have_dimension_zero_and_few_points_none():
 
 def test_pairs_in_turn_are_left_out():
     """A slow turn: neighbours in time are near, and the window leaves out a sixteenth of a turn at least."""
-    share, of = covers(turns(2, 4096, (0.0123456789,)), 1.0, [True])
+    share, of = covers(turns(2, 4096, (0.05 * (np.sqrt(5.0) - 2.0),)), 1.0, [True])
     assert share == 1.0
     assert np.abs(of.value - 1.0).max() < 0.1
