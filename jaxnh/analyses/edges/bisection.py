@@ -20,7 +20,7 @@ _SHARES = np.array([0.26, 0.51, 0.77])  # not even, as a symmetry may have the b
 _ROUNDS = 32
 
 
-class Boundary(NamedTuple):
+class Bracket(NamedTuple):
     """Points of lanes on either side of a boundary.
 
     Attributes:
@@ -66,8 +66,8 @@ def label_points(
 
 
 def narrow(
-    space: Space, of: Destinations, lanes: LaneRunner, pairs: Boundary, width: float | np.ndarray = WIDTH
-) -> Boundary:
+    space: Space, of: Destinations, lanes: LaneRunner, pairs: Bracket, width: float | np.ndarray = WIDTH
+) -> Bracket:
     """Return pairs of points not further apart than a width, about the first change of label on the way from `near`."""
     lane, near, far, near_label, far_label = (np.array(leaf) for leaf in pairs)
     width = np.broadcast_to(width, len(lane))
@@ -85,7 +85,7 @@ def narrow(
         last = np.max(np.where(same & (np.arange(5) < first[:, None]), np.arange(5), 0), axis=1)
         row = np.arange(len(active))
         near[active], far[active], far_label[active] = points[row, last], points[row, first], labels[row, first]
-    return Boundary(lane, near, far, near_label, far_label)
+    return Bracket(lane, near, far, near_label, far_label)
 
 
 def _on_constraints(system: System, u: Float[Array, " d"], p: Parameters) -> tuple[Float[Array, " d"], State]:

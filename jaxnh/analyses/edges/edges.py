@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting, Starts
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.edges.bisection import Boundary, Space
+from jaxnh.analyses.edges.bisection import Bracket, Space
 from jaxnh.analyses.edges.destinations import (
     UNDECIDED,
     Destinations,
@@ -92,7 +92,7 @@ def _halves_of_box(options: EdgesOptions, batch: LaneBatch) -> Float[np.ndarray,
     return extent(batch.without_section(), np.stack([of.chart.host_points(of.start) for of in points], axis=1))[0]
 
 
-def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"], most: int) -> Boundary:
+def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"], most: int) -> Bracket:
     """Return pairs of starts of each lane that lead to different attractors, as many of each two as of others.
 
     Starts are random, and so are pairs of them in the order in which they are drawn.
@@ -110,7 +110,7 @@ def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"]
             one, other = groups[a][turn % len(groups[a])], groups[b][turn % len(groups[b])]
             rows.append((lane, lane * starts + int(one), lane * starts + int(other), a, b))
     lane, one, other, near, far = np.array(rows, int).reshape(-1, 5).T
-    return Boundary(lane, first[one], first[other], near, far)
+    return Bracket(lane, first[one], first[other], near, far)
 
 
 def _points(known: Sequence[LaneAttractors], most: int, d: int) -> Shocks:
@@ -125,12 +125,18 @@ def _points(known: Sequence[LaneAttractors], most: int, d: int) -> Shocks:
             lane += [number] * len(chosen)
             attractor += [place] * len(chosen)
             point += chosen.tolist()
-    count = len(lane)
-    unknown = np.full(count, np.nan)
+    numbers = [np.array(values, int) for values in (lane, attractor, point)]
+    unknown = np.full(len(lane), np.nan)
     return Shocks(
-        *(np.array(values, int) for values in (lane, attractor, point)),
-        np.concatenate(base), np.full((count, d), np.nan), unknown, np.full(count, UNDECIDED), unknown,
-    )  # fmt: skip
+        lane=numbers[0],
+        attractor=numbers[1],
+        point=numbers[2],
+        base=np.concatenate(base),
+        displacement=np.full((len(lane), d), np.nan),
+        length=unknown,
+        to=np.full(len(lane), UNDECIDED),
+        error=unknown,
+    )
 
 
 def starts(options: EdgesOptions) -> Starts | None:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneRunner
-from jaxnh.analyses.edges.bisection import WIDTH, Boundary, Space, label_points, narrow
+from jaxnh.analyses.edges.bisection import WIDTH, Bracket, Space, label_points, narrow
 from jaxnh.analyses.edges.destinations import UNDECIDED, Destinations
 
 _ROW = 16  # lengths at which a direction is looked at first
@@ -113,13 +113,13 @@ def _shocks(
     crossing = np.flatnonzero(changed.any(axis=1))
     first = np.argmax(changed, axis=1)[crossing]
     last = np.max(np.where(same[crossing] & (np.arange(_ROW + 1) < first[:, None]), np.arange(_ROW + 1), 0), axis=1)
-    pairs = Boundary(
+    pairs = Bracket(
         begun.lane[crossing], points[crossing, last], points[crossing, first],
         begun.attractor[crossing], labels[crossing, first],
     )  # fmt: skip
     pairs = narrow(space, of, lanes, pairs)
     good = space.distance(pairs.near, pairs.far, pairs.lane) <= WIDTH
-    crossing, pairs = crossing[good], Boundary(*(leaf[good] for leaf in pairs))
+    crossing, pairs = crossing[good], Bracket(*(leaf[good] for leaf in pairs))
     displacement, length, to = np.full((count, d), np.nan), np.full(count, np.nan), np.full(count, UNDECIDED)
     displacement[crossing] = space.batch.chart.wrap(pairs.far - begun.base[crossing])
     length[crossing] = space.distance(pairs.far, begun.base[crossing], pairs.lane)
@@ -200,7 +200,7 @@ def _newton_turn(
     for number, (i, j) in enumerate(pairs):
         mixed = (both[:, number] - up[:, i] - up[:, j] + length) / angle**2
         hessian[:, i, j] = hessian[:, j, i] = mixed
-    known = np.isfinite(hessian).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
+    known: np.ndarray = np.isfinite(hessian).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
     values, vectors = np.linalg.eigh(np.where(known[:, None, None], hessian, np.eye(k)))
     along = np.einsum("nki,nk->ni", vectors, np.where(known[:, None], gradient, 0.0))
     step = -np.einsum("nki,ni->nk", vectors, along / np.maximum(np.abs(values), 1e-12))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxnh.analyses.base import LANE, Entry, Table, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneRunner, iterate_units
-from jaxnh.analyses.edges.bisection import Boundary, Space
+from jaxnh.analyses.edges.bisection import Bracket, Space
 from jaxnh.analyses.edges.destinations import MOST, UNDECIDED, LaneAttractors
 from jaxnh.analyses.edges.shocks import Shocks
 from jaxnh.analyses.edges.tracking import EQUILIBRIUM, KINDS, SADDLE_ORBIT, EdgeStates
@@ -55,7 +55,7 @@ class Edges(NamedTuple):
     space: Space
     whole: Space
     known: Sequence[LaneAttractors]
-    pairs: Boundary
+    pairs: Bracket
     states: EdgeStates
     shocks: Shocks | None
     tried: np.ndarray
@@ -261,7 +261,7 @@ def _sum_of_changes(one: Entry, others: Sequence[Entry]) -> Entry:
     """Return the error of a variable of points: the sum of its differences from others."""
     return (
         one[0],
-        sum(np.abs(one[1] - other[1]) for other in others),
+        np.sum([np.abs(one[1] - other[1]) for other in others], axis=0),
         one[2] | {"long_name": f"error of the {one[2]['long_name']}"},
     )
 

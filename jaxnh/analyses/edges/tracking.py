@@ -11,10 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.batch import LaneRunner
-from jaxnh.analyses.edges.bisection import WIDTH, Boundary, Space, narrow
+from jaxnh.analyses.edges.bisection import WIDTH, Bracket, Space, narrow
 from jaxnh.analyses.edges.destinations import TILE, Destinations
 from jaxnh.analyses.manifolds.saddles import find_germs, parameters_of
 from jaxnh.analyses.orbits.search import map_of_lanes
@@ -60,7 +60,7 @@ def track_edges(
     space: Space,
     of: Destinations,
     lanes: LaneRunner,
-    pairs: Boundary,
+    pairs: Bracket,
     transient: int,
     most: int,
     max_period: int,
@@ -75,7 +75,7 @@ def track_edges(
     states = EdgeStates(
         kind, np.zeros(count, int), np.full((count, max_period, d), np.nan), returns, np.full((count, PATH, d), np.nan)
     )
-    pairs = Boundary(*(np.array(leaf) for leaf in pairs))
+    pairs = Bracket(*(np.array(leaf) for leaf in pairs))
     until = transient
     while True:
         while len(active := np.flatnonzero((kind == UNSETTLED) & (returns < until))):
@@ -94,12 +94,12 @@ def _follow(
     space: Space,
     of: Destinations,
     lanes: LaneRunner,
-    pairs: Boundary,
+    pairs: Bracket,
     active: Int[np.ndarray, " active"],
     states: EdgeStates,
 ) -> None:
     """Bring pairs together and carry them on until they are apart, in place."""
-    near = narrow(space, of, lanes, Boundary(*(leaf[active] for leaf in pairs)))
+    near = narrow(space, of, lanes, Bracket(*(leaf[active] for leaf in pairs)))
     for leaf, new in zip(pairs, near, strict=True):
         leaf[active] = new
     lane = pairs.lane[active]
@@ -159,7 +159,7 @@ def _close(
         states.points[own, :n] = orbits.points[good]
 
 
-def _neighbours_part(space: Space, lane: int, path: Float[np.ndarray, "points d"]) -> Bool[np.ndarray, ""]:
+def _neighbours_part(space: Space, lane: int, path: Float[np.ndarray, "points d"]) -> bool:
     """Return whether neighbours on a motion part at an exponential rate, as on no orbit and no torus."""
     path = path[np.isfinite(path).all(axis=1)]
     count = len(path) - _LAGS
@@ -173,4 +173,4 @@ def _neighbours_part(space: Space, lane: int, path: Float[np.ndarray, "points d"
     nearest = np.argmin(distance, axis=1)
     begun = np.maximum(distance[number, nearest], _FLOOR)
     growth = [np.median(apart(number + lag, nearest + lag) / begun) for lag in range(1, _LAGS + 1)]
-    return np.max(growth) > _GROWS
+    return bool(np.max(growth) > _GROWS)

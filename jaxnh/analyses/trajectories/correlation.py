@@ -105,11 +105,11 @@ def _pairs_between_parts(
     window: int,
 ) -> Float[np.ndarray, "parts parts radii"]:
     """Return the number of ordered pairs of points of two parts of a motion within each radius of one another."""
-    from scipy.spatial import cKDTree  # here, as it takes a tenth of a second to import
+    from scipy.spatial import KDTree  # here, as it takes a tenth of a second to import
 
     ends = np.linspace(0, len(points), _PARTS + 1).astype(int)
     box = np.where(angles, 1.0, 0.0)
-    trees = [cKDTree(points[a:b], boxsize=box) for a, b in itertools.pairwise(ends)]
+    trees = [KDTree(points[a:b], boxsize=box) for a, b in itertools.pairwise(ends)]
     pairs = np.zeros((_PARTS, _PARTS, len(radii)))
     for i in range(_PARTS):
         for j in range(i + 1):
