@@ -248,6 +248,7 @@ def distance_to_manifold(d, unit):
     return best
 
 
+@pytest.mark.slow
 def test_the_least_shock_of_a_double_well():
     """An unforced one, in time: the edge is the equilibrium at 0, and a shock ends on its stable manifold."""
     damping = np.array([0.3, 0.6])

@@ -16,6 +16,7 @@ from jaxnh.analyses.base import Analysis, OptionError, Setting, Starts
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.edges.bisection import Bracket, Space
 from jaxnh.analyses.edges.destinations import (
+    MOST,
     UNDECIDED,
     Destinations,
     LaneAttractors,
@@ -102,7 +103,7 @@ def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"]
         starts = len(of.labels)
         finite = np.isfinite(first[lane * starts : (lane + 1) * starts]).all(axis=1)
         groups = {int(k): np.flatnonzero((of.labels == k) & finite) for k in np.unique(of.labels) if k != UNDECIDED}
-        order = sorted((k for k in groups if len(groups[k])), key=lambda k: k if k >= 0 else len(groups) + 8)
+        order = sorted((k for k in groups if len(groups[k])), key=lambda k: k if k >= 0 else MOST)
         twos = [(a, b) for j, b in enumerate(order) for a in order[:j]]
         for turn in range(most if twos else 0):
             a, b = twos[turn % len(twos)]

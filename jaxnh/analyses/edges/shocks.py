@@ -200,7 +200,7 @@ def _newton_turn(
     for number, (i, j) in enumerate(pairs):
         mixed = (both[:, number] - up[:, i] - up[:, j] + length) / angle**2
         hessian[:, i, j] = hessian[:, j, i] = mixed
-    known: np.ndarray = np.isfinite(hessian).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
+    known = np.all(np.isfinite(np.column_stack([hessian.reshape(len(length), -1), gradient])), axis=1)
     values, vectors = np.linalg.eigh(np.where(known[:, None, None], hessian, np.eye(k)))
     along = np.einsum("nki,nk->ni", vectors, np.where(known[:, None], gradient, 0.0))
     step = -np.einsum("nki,ni->nk", vectors, along / np.maximum(np.abs(values), 1e-12))
