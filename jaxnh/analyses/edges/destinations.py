@@ -50,7 +50,7 @@ class Target(NamedTuple):
 
 
 class LaneAttractors(NamedTuple):
-    """The attractors of a lane, the one with most starts first.
+    """The attractors of a lane, in the order of the means of their points, so that neighbours number them alike.
 
     Attributes:
         attractors: None where there are none.
@@ -101,6 +101,7 @@ def lane_attractors(
         else:
             hits = np.bincount(found.number[found.number >= 0], minlength=len(found.point))
             order = np.argsort(-hits, kind="stable")[: min(MOST, np.count_nonzero(hits))]
+            order = order[_by_means(found.attractors, order)]
             place = np.full(len(hits) + 1, UNDECIDED)  # the last is that of no attractor
             place[order] = np.arange(len(order))
             labels, attractors = place[found.number], select(found.attractors, order)
@@ -137,6 +138,13 @@ def turns_of(attractors: Attractors, place: int) -> int:
     if kind in (QUASIPERIODIC, CHAOTIC, LIMIT_CYCLE):
         return attractors.points.shape[1]
     return int(attractors.period[place]) if kind == PERIODIC else 1
+
+
+def _by_means(attractors: Attractors, places: Int[np.ndarray, " some"]) -> Int[np.ndarray, " some"]:
+    """Return the order of attractors by the means of their points: of the first coordinate that tells two apart."""
+    means = [attractors.points[k, : turns_of(attractors, k)].mean(axis=0) for k in places.tolist()]
+    size = np.maximum(attractors.size[places].max(axis=0), 1e-300)
+    return np.lexsort(np.round(np.array(means) / size, 6).T[::-1])
 
 
 def _near(

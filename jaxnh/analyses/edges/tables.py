@@ -100,7 +100,7 @@ def _of_attractors(made: Edges, lanes: LaneRunner) -> dict[str, Entry]:
     of_period, unit = "least period of a periodic attractor", iterate_units(made.whole.batch.system)
     number = np.arange(1, MOST + 1, dtype=np.int32)
     return {
-        "attractor": variable("attractor", number, "number of the attractor of a lane, by the share of its starts"),
+        "attractor": variable("attractor", number, "number of the attractor of a lane, by the mean of its points"),
         "attractors": variable(LANE, np.sum(kind >= 0, axis=1).astype(np.int32), "number of attractors of the lane"),
         "attractor_kind": flag(dims, kind, "kind of motion on the attractor", ("absent", *MOTIONS), -1),
         "attractor_period": number_variable(dims, period, of_period, ("none",), counted_in=unit),
@@ -215,11 +215,11 @@ def _of_shocks(made: Edges, lanes: LaneRunner, shocks: Shocks) -> dict[str, Entr
         for points in (shocks.base, shocks.base + shocks.displacement)
     )
     known = np.isfinite(shocks.length)
-    of_length = f"length of the least displacement known that leads to another attractor, {_SIZES}"
+    of_length = f"least displacement known that leads to another attractor, {_SIZES}"
     of_point = "number of the point of the attractor that is displaced"
     return {
         "shock": variable(dims, at.put(shocks.length, np.nan), of_length),
-        "shock_error": variable(dims, at.put(shocks.error, np.nan), f"error of the {of_length}, as a local minimum"),
+        "shock_error": variable(dims, at.put(shocks.error, np.nan), "error of the least shock"),
         "shock_point": number_variable(dims, at.put(shocks.point + 1, 0, np.int32), of_point, ("none",)),
         "shock_to": _attractor(dims, at.put(np.where(known, shocks.to + 1, -1), -1, np.int32), "attractor after it"),
         "shocks_tried": number_variable(
