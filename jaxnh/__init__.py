@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import CurvesOptions as Curves
     from jaxnh.analyses.options import DiagramOptions as Diagram
     from jaxnh.analyses.options import DoublingOptions as Doubling
+    from jaxnh.analyses.options import EdgesOptions as Edges
     from jaxnh.analyses.options import LyapunovOptions as Lyapunov
     from jaxnh.analyses.options import ManifoldsOptions as Manifolds
     from jaxnh.analyses.options import OrbitsOptions as Orbits
@@ -126,6 +127,7 @@ __all__ = [
     "DamagedError",
     "Diagram",
     "Doubling",
+    "Edges",
     "Experiment",
     "FreeParticle",
     "InputError",

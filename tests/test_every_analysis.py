@@ -69,6 +69,16 @@ OPTIONS = {
         "max_points": 64,
         "crossings": 0,
     },
+    "edges": {
+        "box": {"u": (-0.5, 0.5)},
+        "n_starts": 4,
+        "transient": 32,
+        "max_periods": 256,
+        "max_period": 2,
+        "directions": 2,
+        "shock_points": 1,
+        "reach": 0.25,
+    },
 }
 UNSTABLE_ALONE = {"manifolds": OPTIONS["manifolds"] | {"kind": "unstable"}}
 
@@ -89,11 +99,12 @@ def lowered_for_cuda_too():
 
 
 def starts_between(name, low, high):
-    """Options of `transients` and `manifolds` in a range of another coordinate, and of `transport` along it."""
+    """Options of what draws starts in a box, in a range of another coordinate, and of `transport` along it."""
     return {
         "transients": OPTIONS["transients"] | {"box": {name: (low, high)}, "region": {name: (-9.0, 9.0)}},
         "transport": OPTIONS["transport"] | {"path": (name,)},
         "manifolds": OPTIONS["manifolds"] | {"box": {name: (low, high)}},
+        "edges": OPTIONS["edges"] | {"box": {name: (low, high)}},
     }
 
 
@@ -440,6 +451,27 @@ def one_attractor(data, groups):
     assert np.nanmax(fraction.to_numpy(), axis=fraction.dims.index("attractor")).min() == 1.0
 
 
+def no_edges_at_sea(data, _):
+    """No boundary of a flow that keeps volume; whether a chaotic sea is called an attractor is left open here."""
+    kind, edge, _ = lanes_of(data, "attractor_kind", "kind")
+    names = data["attractor_kind"].attrs["flag_meanings"].split()
+    assert {names[k + 1] for k in np.unique(kind)} <= {"absent", "chaotic", "quasiperiodic"}
+    assert not edge.any()
+
+
+def no_edges(attractors, word):
+    """No boundary, of lanes with so many attractors, and the word that says why; no shock that leaves."""
+
+    def check(data, _):
+        known, kind, status, shock, _ = lanes_of(data, "attractors", "kind", "status", "shock")
+        assert np.all(known == attractors)
+        assert not kind.any()
+        assert {data["status"].attrs["flag_meanings"].split()[k] for k in status} == {word}
+        assert np.isnan(shock).all()
+
+    return check
+
+
 # ---- kinds of scenes
 
 WITHOUT_SECTION = "the system has no period, and {} looks at it on a section"
@@ -504,11 +536,12 @@ MOEBIUS = {
     "tori": words("none"),
     "transport": stays,
     "manifolds": saddles(moebius_saddle),
+    "edges": no_edges(1, "one_attractor"),
 }
 IN_SPACE = {name: follows(moebius.moebius_in_space, ("x", "y", "z")) for name in ("portrait", "poincare", "diagram")}
 SPACE = "system: {file: FILE}\ninitial: {x: 1.3, z: 0.1}\nsweep: {" + MU + "}\n" + STEPS
 SECTION = "\nsection: {coordinate: y, value: 0.0, direction: up}"
-IN_TIME = ("portrait", "lyapunov", "basins", "transport")
+IN_TIME = ("portrait", "lyapunov", "basins", "transport", "edges")
 
 
 @functools.cache
@@ -557,6 +590,7 @@ def particle(names, rates=paper_equations.at_speed):
         "tori": words("none"),
         "transport": stays,
         "manifolds": manifolds_of_saddles,
+        "edges": no_edges(1, "one_attractor"),
     }
 
 
@@ -635,7 +669,7 @@ KINDS = {
             "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
             "covariant": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
             **dict.fromkeys(
-                ("transients", "manifolds"), "random starts and the axis u of start states exclude each other"
+                ("transients", "manifolds", "edges"), "random starts and the axis u of start states exclude each other"
             ),
             "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
             "windows": "u is a coordinate of the start state",
@@ -672,7 +706,7 @@ KINDS = {
         {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
         | {"verdict": WITHOUT_SECTION.format("period")}
         | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
-        | {"transport": stays},
+        | {"transport": stays, "edges": no_edges(1, "one_attractor")},
         moebius.MOEBIUS_IN_SPACE,
         starts_between("x", 1.2, 1.4),
     ),
@@ -700,6 +734,7 @@ KINDS = {
             "tori": words("none"),
             "transport": stays,
             "manifolds": no_saddle,
+            "edges": no_edges(1, "one_attractor"),
         },
         constrained_oscillators.SLIDE,
         starts_between("x", -0.5, 0.5),
@@ -735,6 +770,7 @@ KINDS = {
             "tori": words("none"),
             "transport": stays,
             "manifolds": no_saddle,
+            "edges": no_edges(1, "one_attractor"),
         },
         constrained_oscillators.NEEDLE,
         starts_between("w", -0.1, 0.1),
@@ -776,6 +812,7 @@ KINDS = {
             "tori": "a curve on a map of one direction has nothing normal to it",
             "transport": stays,
             "manifolds": "manifolds are curves among other directions of the map, and it has one alone",
+            "edges": no_edges(1, "one_attractor"),
         },
         constrained_oscillators.CYCLE,
         {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}}
@@ -807,6 +844,7 @@ KINDS = {
             "tori": words("none"),
             "transport": stays,
             "manifolds": manifolds_of_saddles,
+            "edges": no_edges(1, "one_attractor"),
         },
         options=starts_between("x1", -0.2, 0.2),
     ),
@@ -838,6 +876,7 @@ KINDS = {
             "tori": words("none", "neutral", "undecided"),
             "transport": wanders,
             "manifolds": manifolds_of_saddles,
+            "edges": no_edges_at_sea,
         },
         options={"doubling": {"levels": 1, "search": False}} | starts_between("x1", 0.0, 0.2),
     ),

@@ -28,6 +28,7 @@ _HOMES = {
     "tori": "tori.tori",
     "transport": "transport.transport",
     "manifolds": "manifolds.manifolds",
+    "edges": "edges.edges",
 }
 
 

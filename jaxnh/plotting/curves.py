@@ -49,6 +49,7 @@ def curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     for level in levels_of(data):
         ax.axhline(level, color="black", linewidth=0.6)
     drawn = [curve for variable in variables for curve in curves_of(data, variable)]
+    drawn = [curve for curve in drawn if np.isfinite(curve.y).any()] or drawn[:1]
     bands: dict[str, Artist] = {}
     lines: list[Artist] = []
     for k, curve in enumerate(drawn):

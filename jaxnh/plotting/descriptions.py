@@ -108,6 +108,12 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         lambda _: _Description("curves", ("number",), ("n",), "periodic orbits", "none"),
     ),
     "orbits": (("met",), None),
+    "edges": (
+        ("edge_from",),
+        lambda data: _Description(
+            "curves", [name for name in ("shock",) if name in data], ("attractor",), "least shock", "0"
+        ),
+    ),
     "manifolds": (
         ("branch_kind",),
         lambda data: _Description(

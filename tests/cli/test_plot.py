@@ -44,6 +44,7 @@ analyses:
   transients: {n_starts: 16, box: {x1: [-0.1, 0.1]}, max_periods: 16}
   manifolds: {n_starts: 2, box: {x1: [-0.1, 0.1]}, length: 0.1, kind: unstable}
   transport: {transient: 1, periods: 256, path: [x1]}
+  edges: {n_starts: 4, box: {x1: [-0.1, 0.1]}, transient: 32, pairs: 1, directions: 4, shock_points: 1, reach: 0.1}
 """
 OVER_TWO_AXES = {"curves": "bifurcation_curves", "codimension_two": "special_points"}
 """Groups of analyses that need two, and their panels."""

@@ -63,7 +63,7 @@ def _check_words(key, variable, unsaid):
         assert is_unit(variable.attrs["units"]), f"{key}: {variable.attrs['units']} is no unit"
         return
     base = key.removesuffix("_error").removeprefix("start_").removeprefix("change_").removeprefix("codimension_two_")
-    base = re.sub(r"_(points|orbit|crossings|max|min|mean|std|low|drift)$", "", base)
+    base = re.sub(r"_(points|orbit|crossings|edge|shock|direction|attractor|max|min|mean|std|low|drift)$", "", base)
     assert base in unsaid or (base in _OF_TIME | _OF_PARAMETER and unsaid), f"{key} has no units"
 
 

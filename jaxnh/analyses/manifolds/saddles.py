@@ -66,7 +66,7 @@ def find_orbits(
     middle = first_points(random_start_batch(batch, 1, seed, at_middle)[0], lanes)
     many, _ = random_start_batch(batch, starts, seed, box)
     first = first_points(many, lanes).reshape(batch.count, starts, -1)
-    size, reach = _extent(batch, first)
+    size, reach = extent(batch, first)
     nearer = 0.5 ** (np.arange(starts) % _SCALES)
     first = middle[:, None] + nearer[:, None] * batch.chart.wrap(first - middle[:, None])
     first = first.reshape(-1, first.shape[-1])
@@ -164,7 +164,7 @@ def _expanding(matrices: Float[np.ndarray, "n d d"]) -> tuple[Float[np.ndarray, 
     return np.where(one, value, np.nan), np.where(one[:, None], vector, np.nan)
 
 
-def _extent(
+def extent(
     batch: LaneBatch, points: Float[np.ndarray, "lanes starts d"]
 ) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]]:
     """Return half the extent of points, and that or what is more, their largest modulus; of angles one."""

@@ -101,8 +101,8 @@ def _of_branches(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner,
     orbit[saddles.lane, saddles.place] = saddles.points
     of = LANE, "saddle", "branch"
     return {
-        **_named(batch, lanes, orbit, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
-        **_named(batch, lanes, points, (*of, "point"), "_points", "along the branch"),
+        **named_points(batch, lanes, orbit, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
+        **named_points(batch, lanes, points, (*of, "point"), "_points", "along the branch"),
         "arc_length": variable((*of, "point"), arc, f"arc length from the saddle, {_SIZES}"),
         "multiplier": variable(of, multiplier, "multiplier along the branch"),
         "end": flag(of, end, "how the branch ends", ENDS),
@@ -130,7 +130,7 @@ def _of_crossings(
         ("crossing_deviation", deviation, f"how far twice the steps and a shorter start move the point, {_SIZES}", "1"),
     )
     return {
-        **_named(batch, lanes, points, dims, "_crossings", "of points where manifolds cross, one of each orbit"),
+        **named_points(batch, lanes, points, dims, "_crossings", "of points where manifolds cross, one of each orbit"),
         **{name: variable(dims, _filled(shape, at, data), words, unit) for name, data, words, unit in columns},
         **_ends("crossing", dims, shape, at, made.saddles, meetings, options.period),
     }
@@ -174,7 +174,7 @@ def _filled(shape: tuple[int, ...], at: Any, values: np.ndarray) -> np.ndarray:
     return whole
 
 
-def _named(
+def named_points(
     batch: LaneBatch, lanes: LaneRunner, points: np.ndarray, dims: Sequence[str], ending: str, words: str
 ) -> dict[str, Entry]:
     """Return points, (..., d) over the dimensions, as coordinates by name."""

@@ -1,7 +1,7 @@
 """Options of the analyses, by the key of each in YAML: modules that import no JAX, so that a config is read at once."""
 
 from jaxnh.analyses.options.base import Options
-from jaxnh.analyses.options.basins import BasinsOptions
+from jaxnh.analyses.options.basins import BasinsOptions, EdgesOptions
 from jaxnh.analyses.options.chaos import (
     Chaos01Options,
     CovariantOptions,
@@ -51,6 +51,7 @@ OPTIONS: dict[str, type[Options]] = {
         ToriOptions,
         TransportOptions,
         ManifoldsOptions,
+        EdgesOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

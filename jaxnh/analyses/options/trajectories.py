@@ -8,6 +8,9 @@ from pydantic import Field, model_validator
 
 from jaxnh.analyses.options.base import Options, Side, check_random_starts, rule
 
+LEAST_FOR_DIMENSION = 256
+"""Points that a region of scaling may be seen in."""
+
 _FOR_RANDOM = ("n_starts", "seed", "box")
 
 
@@ -38,7 +41,17 @@ class PoincareOptions(Options):
 
     transient: int = Field(default=512, ge=0, description="Periods before the first strobe; 0: it is the start state")
     strobes: int = Field(default=1024, ge=1, description="Number of strobes kept, one period apart")
+    correlation_dimension: bool | None = Field(
+        default=None, description="Whether to give the correlation dimension of the strobes of each lane; takes 256"
+    )
     outputs: Outputs = None
+
+    @model_validator(mode="after")
+    def _check(self) -> PoincareOptions:
+        if self.correlation_dimension and self.strobes < LEAST_FOR_DIMENSION:
+            message = f"must be {LEAST_FOR_DIMENSION} or more for a correlation dimension"
+            raise rule(message, "strobes", "correlation_dimension")
+        return self
 
 
 class DiagramOptions(Options):

@@ -9,10 +9,12 @@ import jax
 import numpy as np
 import xarray as xr
 
-from jaxnh.analyses.base import LANE, Analysis, Setting, variable
+from jaxnh.analyses.base import LANE, Analysis, Entry, Setting, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.trajectories import PoincareOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
+from jaxnh.analyses.section_points import points_at
+from jaxnh.analyses.trajectories.correlation import correlation_dimension
 from jaxnh.analyses.trajectories.states import (
     TILE,
     check_outputs,
@@ -61,7 +63,22 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     at = np.zeros(1), (LANE, "strobe"), {"coordinates": "t"}
     variables |= state_variables(batch.system, states, *at)
     variables |= output_variables(options.outputs or (), lanes, batch.system, states, p, *at)
+    if options.correlation_dimension:
+        variables |= _dimension(batch, lanes, states)
     return xr.Dataset(variables, attrs=section_attrs(batch))
+
+
+def _dimension(batch: LaneBatch, lanes: LaneRunner, states: State) -> dict[str, Entry]:
+    """Return the correlation dimension of the strobes of each lane."""
+    points = points_at(batch, lanes, states, TILE)
+    of = correlation_dimension(points, np.array(batch.chart.angles))
+    words = "correlation dimension of the strobes"
+    return {
+        "correlation_dimension": variable(LANE, of.value, words),
+        "correlation_dimension_error": variable(LANE, of.error, f"error of the {words} at 95 %"),
+        "least_radius": variable(LANE, of.least, "least radius of the scaling region, over the range of coordinates"),
+        "largest_radius": variable(LANE, of.largest, "largest radius of the scaling region, likewise"),
+    }
 
 
 def strobe_states(

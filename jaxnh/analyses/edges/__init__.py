@@ -1,0 +1,1 @@
+"""Edge states on the boundaries of basins of attraction, and the least shocks that cross them."""
