@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxnh.analyses.base import OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.families import equilibrium_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
@@ -22,6 +23,15 @@ from jaxnh.orbits.continuation.paths import StepControl
 
 _AMPLITUDES = (0.01, 0.02, 0.05, 0.1, 0.2)  # of cycles at Hopf points that are tried, in sizes of the box
 _FARTHEST = 100.0  # sizes of the box: equilibria further out are none of those looked for
+
+
+def check_equilibria(setting: Setting) -> None:
+    """Check that a flow has isolated equilibria."""
+    if not setting.autonomous:
+        what = "a flow with a clock" if setting.flow.continuous else "a map has orbits of period 1, and"
+        raise OptionError(f"{what} has no equilibria; leave it out", "equilibria")
+    if setting.flow.chart.dimension > setting.flow.exponents:
+        raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
 
 
 def equilibria(

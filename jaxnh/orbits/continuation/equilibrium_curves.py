@@ -266,7 +266,8 @@ def curve_of(plane: FieldPlane, kind: int, track: Solution, ends: tuple[int, int
     at = EigenvectorEquations(plane, kind).split(track.z)
     values = np.linalg.eigvals(track.blocks).astype(complex)
     order = np.lexsort((np.imag(values), -np.real(values)), axis=-1)
-    return Curve(kind, at.u[:, None], at.values, track, np.take_along_axis(values, order, axis=-1), ends)
+    values = np.take_along_axis(values, order, axis=-1)
+    return Curve(kind, at.u[:, None], at.values, track, values, ends, equilibria=True)
 
 
 def passes(plane: FieldPlane, curves: Sequence[Curve], kind: int, at: CriticalEquilibria, near: float) -> bool:
