@@ -8,7 +8,6 @@ settle on there (`branches`). All curves of one kind and period are then followe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -29,8 +28,9 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
-from jaxnh.analyses.continuation.equilibria import check_equilibria
-from jaxnh.analyses.continuation.equilibrium_curves import equilibrium_curves, rounding_errors
+from jaxnh.analyses.continuation.cycle_curves import cycle_seeds
+from jaxnh.analyses.continuation.equilibria import check_equilibria, section_plane
+from jaxnh.analyses.continuation.equilibrium_curves import EquilibriumCurves, equilibrium_curves, rounding_errors
 from jaxnh.analyses.continuation.families import orbit_family, parameter_plane, step_control
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
@@ -38,6 +38,7 @@ from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
+from jaxnh.maps.section import Section
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.bifurcations.curve_errors import errors_of_points, errors_of_special, refine_curve
 from jaxnh.orbits.bifurcations.equilibrium_forms import COUNT, TERMS
@@ -126,29 +127,19 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     chosen = np.unique(second.values[sampled])
     batches = [_lanes_at(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
-    followed = _Followed([], [], [])
+    names, followed, still = (first.name, second.name), _Followed([], [], []), None
     if options.equilibria:
-        followed = _of_equilibria(options, batches, lanes, (first.name, second.name), low, high)
+        still = equilibrium_curves(batches, lanes, options, names, low, high)
+        followed = _of_equilibria(still)
     if options.max_period:
-        followed = _joined(followed, _of_orbits(options, batches, lanes, (first.name, second.name), low, high))
+        followed = _joined(followed, _of_orbits(options, batches, lanes, names, low, high, still))
     parts = batches[0], sweep.axes, followed
     return {"curves": _dataset(*parts, options.max_period), "codimension_two": _special(*parts)}
 
 
-def _of_equilibria(
-    options: CurvesOptions,
-    batches: Sequence[LaneBatch],
-    lanes: LaneRunner,
-    names: tuple[str, str],
-    low: Float[np.ndarray, " 2"],
-    high: Float[np.ndarray, " 2"],
-) -> _Followed:
+def _of_equilibria(still: EquilibriumCurves) -> _Followed:
     """Curves of folds and Hopf points."""
-
-    def stage(label: str) -> AbstractContextManager[object]:
-        return lanes.stage(f"curves: {label}", 0)
-
-    plane, every = equilibrium_curves(batches, lanes, options, names, low, high, stage)
+    plane, every = still
     special = [
         _Point(k, located.point, located.error, form.coefficients)
         for k, one in enumerate(every)
@@ -164,8 +155,9 @@ def _of_orbits(
     names: tuple[str, str],
     low: Float[np.ndarray, " 2"],
     high: Float[np.ndarray, " 2"],
+    still: EquilibriumCurves | None,
 ) -> _Followed:
-    """Curves of bifurcations of periodic orbits."""
+    """Curves of bifurcations of periodic orbits, those among them that leave points of equilibria."""
     surveys = [survey_from_start(batch, lanes, options.max_period, "curves", options.transient) for batch in batches]
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
     size = np.median(sizes, axis=0) if len(sizes) else np.ones(batches[0].system.chart.dimension)
@@ -186,6 +178,12 @@ def _of_orbits(
             if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)
         ]
         with lanes.stage(f"curves: from {len(seeds)} bifurcations at {second} = {value:g}", 0):
+            curves += _follow_curves(plane, curves, seeds, options)
+    if still is not None and isinstance(batches[0].system, Section):
+        points = [pair for one in still.curves for pair in zip(one.points, one.forms, strict=True)]
+        with lanes.stage("curves: of cycles from points of codimension two of equilibria", 0):
+            starts = cycle_seeds(still.plane, plane, section_plane(batches[0].system), points)
+            seeds = [_Seed(start.kind, start.points, start.values) for start in starts]
             curves += _follow_curves(plane, curves, seeds, options)
     curves.sort(key=lambda curve: (curve.period, curve.kind))
     with lanes.stage(f"curves: errors of {len(curves)}", 0):
@@ -279,9 +277,7 @@ def _dataset(batch: LaneBatch, axes: Sequence[Axis], followed: _Followed, limit:
             "period of the orbit",
             counted_in=iterate_units(batch.system),
         ),
-        "multipliers": variable(
-            (*dims, "multiplier", "part"), table(multipliers, d, 2), _multiplier_words(curves)
-        ),
+        "multipliers": variable((*dims, "multiplier", "part"), table(multipliers, d, 2), _multiplier_words(curves)),
         "begins": flag("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
         "ends": flag("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
         **_kind_and_curve("codimension_two_", special),
@@ -314,9 +310,7 @@ def _special(batch: LaneBatch, axes: Sequence[Axis], followed: _Followed) -> xr.
     variables = {
         **_kind_and_curve("", special),
         "period": variable("codimension_two", period, "period of the orbit", counted_in=iterate_units(batch.system)),
-        "multipliers": variable(
-            ("codimension_two", "multiplier", "part"), multipliers, _multiplier_words(curves)
-        ),
+        "multipliers": variable(("codimension_two", "multiplier", "part"), multipliers, _multiplier_words(curves)),
     }
     for k, axis in enumerate(axes):
         variables |= _at_special(axis.name, axis, k, special, axis.long_name)
@@ -334,7 +328,10 @@ def _of_points(batch: LaneBatch, special: Sequence[_Point]) -> dict[str, Entry]:
     forms = "; ".join(f"{POINTS[kind]}: {form}: {names}" for kind, (form, names) in TERMS.items())
     variables = {
         "coefficients": variable(
-            (dim, "coefficient"), coefficients.reshape(none.shape), "coefficients of the normal form", normal_forms=forms
+            (dim, "coefficient"),
+            coefficients.reshape(none.shape),
+            "coefficients of the normal form",
+            normal_forms=forms,
         )
     }
     for k, name in enumerate(flow.coordinates):

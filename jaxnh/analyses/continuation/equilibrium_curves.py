@@ -6,7 +6,7 @@ Bifurcations to begin with are those of the branches of equilibria over the firs
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import NamedTuple
 
@@ -40,7 +40,7 @@ from jaxnh.orbits.continuation.paths import STEPS, StepControl
 
 _NEAR = 1e-3  # lengths: a chord between two points is nearer to its curve than this
 _SAFETY = 4.0  # rounding of one step of Newton against that of a point
-_FLOOR = 8 * np.finfo(float).eps
+_FLOOR = 16 * np.finfo(float).eps
 
 
 class EquilibriumCurve(NamedTuple):
@@ -65,7 +65,6 @@ def equilibrium_curves(
     names: tuple[str, str],
     low: Float[np.ndarray, " 2"],
     high: Float[np.ndarray, " 2"],
-    stage: Callable[[str], AbstractContextManager[object]],
 ) -> EquilibriumCurves:
     """All curves that equilibria found by Newton from random starts lead to.
 
@@ -75,8 +74,11 @@ def equilibrium_curves(
         options: of `curves`.
         names: of both parameters.
         low, high: ends of their ranges.
-        stage: shows what is done inside, by its label.
     """
+
+    def stage(label: str) -> AbstractContextManager[object]:
+        return lanes.stage(f"curves: {label}", 0)
+
     steps, ends = step_control(options)._replace(max_steps=STEPS.max_steps), (float(low[0]), float(high[0]))
     seeds, size = list[tuple[int, np.ndarray, np.ndarray]](), np.ones(batches[0].flow.chart.dimension)
     for batch in batches:
@@ -94,28 +96,32 @@ def equilibrium_curves(
     if not seeds:
         return EquilibriumCurves(plane, [])
     u, values = np.stack([seed[1] for seed in seeds]), np.stack([seed[2] for seed in seeds])
-    blocks = _linearisations(plane, u, values)
+    blocks = linearisations(plane, u, values)
     plane = plane._replace(frequency=float(np.median(np.abs(np.linalg.eigvals(blocks)).max(axis=1))))
     begun = [
         (kind, critical_equilibria(plane, kind, u[k : k + 1], values[k : k + 1], blocks[k : k + 1]))
         for k, (kind, _, _) in enumerate(seeds)
     ]
     with stage(f"curves of equilibria from {len(begun)} bifurcations"):
-        return EquilibriumCurves(plane, _follow(plane, begun, step_control(options)))
+        return EquilibriumCurves(plane, follow_all(plane, begun, step_control(options)))
 
 
 def rounding_errors(plane: FieldPlane, curve: Curve) -> Float[np.ndarray, "k 2"]:
     """Errors of both parameters at all points of a curve, by what one more step of Newton changes."""
     again = core.correct(EigenvectorEquations(plane, curve.kind), curve.track.z, curve.track.way, FINE)
-    return _SAFETY * np.abs(again.z - curve.track.z)[:, -2:] * plane.width + _FLOOR * np.abs(curve.values)
+    rounding = _FLOOR * (plane.width + np.abs(curve.values))
+    return _SAFETY * np.abs(again.z - curve.track.z)[:, -2:] * plane.width + rounding
 
 
-def _linearisations(plane: FieldPlane, u: np.ndarray, values: np.ndarray) -> Float[np.ndarray, "lanes d d"]:
+def linearisations(
+    plane: FieldPlane, u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, "lanes 2"]
+) -> Float[np.ndarray, "lanes d d"]:
+    """Derivatives of the field at points, in units of the coordinates."""
     none = np.zeros((len(u), 1, u.shape[1]))
     return np.asarray(plane.rates(u, values, none)[1])[:, :, : u.shape[1]]
 
 
-def _follow(
+def follow_all(
     plane: FieldPlane, begun: Sequence[tuple[int, CriticalEquilibria]], steps: StepControl
 ) -> list[EquilibriumCurve]:
     """The curves through bifurcations and those that leave at their points of codimension two, each once."""

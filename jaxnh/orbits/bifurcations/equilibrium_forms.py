@@ -78,13 +78,10 @@ def normal_form(plane: FieldPlane, point: EquilibriumPoint) -> NormalForm:
     if kind in (CUSP, ZERO_HOPF):
         real = critical_equilibria(plane, FOLD, at.u, at.values, matrix).vector(plane)
         vectors, eigenvalues = [real], [np.zeros(1, complex)]
-    other: np.ndarray | None = None
-    for _ in range({CUSP: 0, DOUBLE_HOPF: 2}.get(kind, 1)):
-        pair = critical_equilibria(plane, HOPF, at.u, at.values, matrix, other)
-        q, other = pair.vector(plane), pair.frequency(plane)
+    for q, frequency in _pairs(plane, at, {CUSP: 0, DOUBLE_HOPF: 2}.get(kind, 1)):
         vectors += [q, np.conj(q)]
-        eigenvalues += [1j * other, -1j * other]
-        frequencies.append(float(other[0]))
+        eigenvalues += [1j * frequency, -1j * frequency]
+        frequencies.append(float(frequency[0]))
     manifold = centre_manifold(plane, at, vectors, eigenvalues, *_FORMS[kind])
     if kind == ZERO_HOPF and np.real(manifold.g[0, (2, 0, 0)][0]) < 0.0:
         vectors[0] = -vectors[0]
@@ -92,6 +89,16 @@ def normal_form(plane: FieldPlane, point: EquilibriumPoint) -> NormalForm:
     known = _coefficients(kind, manifold)
     coefficients[: len(known)] = known
     return NormalForm(coefficients, at, vectors, frequencies, manifold)
+
+
+def _pairs(plane: FieldPlane, at: Equilibria, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Eigenvectors and frequencies of imaginary pairs, the fastest first."""
+    pairs, other = list[tuple[np.ndarray, np.ndarray]](), None
+    for _ in range(count):
+        pair = critical_equilibria(plane, HOPF, at.u, at.values, at.matrix, other)
+        other = pair.frequency(plane)
+        pairs.append((pair.vector(plane), other))
+    return sorted(pairs, key=lambda pair: -float(pair[1][0]))
 
 
 def _coefficients(kind: int, manifold: CentreManifold) -> list[float]:

@@ -1,8 +1,8 @@
-"""Points of codimension two on curves of folds and Hopf points of equilibria, and the curves that leave there. Host code.
+"""Points of codimension two on curves of folds and Hopf points of equilibria, and other curves there. Host code.
 
-Test functions pass zero along a curve (Kuznetsov, Elements of Applied Bifurcation Theory, 2004, 8 and 10.5). Between two
-points of the curve each is computed at nodes, a polynomial through them has the root, and narrower rounds follow until
-rounding is reached.
+Test functions pass zero along a curve (Kuznetsov, Elements of Applied Bifurcation Theory, 2004, 8 and 10.5). Between
+two points of the curve each is computed at nodes, a polynomial through them has the root, and narrower rounds follow
+until rounding is reached.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ _ROUNDS = 16
 _NARROWER = 64  # from round to round, where the polynomial has a sharp root
 _SHARP = 0.05  # of the width of the nodes
 _LEAST = 1e-9  # of a chord, the narrowest width
+_FLOOR = 16 * np.finfo(float).eps  # of widths and values: rounding of the unknowns, that all nodes have in common
 _BEGUN = 1e-9  # κ in its unit: Hopf points that are Bogdanov–Takens points are below
 
 TestFunction = Callable[[Solution], Float[np.ndarray, " lanes"]]
@@ -200,7 +201,8 @@ def _locate(plane: FieldPlane, curve: Curve, kind: int, test: TestFunction, plac
                 break
             at = curve_of(plane, curve.kind, solution, curve.ends)
             special = Special(kind, value, place, at.points[0], at.multipliers[0])
-            best = EquilibriumPoint(special, error, solution), error
+            rounding = _FLOOR * (plane.width + np.abs(value))
+            best = EquilibriumPoint(special, error + rounding, solution), error
             centre, half = share, half / _NARROWER
         else:
             changes = np.flatnonzero(np.signbit(tests[1:]) != np.signbit(tests[:-1]))

@@ -237,9 +237,7 @@ def roots(
     """
     reference = values[:, :1]
     fit, line = _fit(tests), _fit(values - reference)
-    misfit, off = (
-        np.abs(x - _polynomial(c, NODES)).max(axis=1) for x, c in ((tests, fit), (values - reference, line))
-    )
+    misfit, off = (np.abs(x - _polynomial(c, NODES)).max(axis=1) for x, c in ((tests, fit), (values - reference, line)))
     root = np.full(len(tests), np.nan)
     for k in np.flatnonzero(np.isfinite(fit).all(axis=1)):
         all_ = np.polynomial.polynomial.polyroots(fit[k])

@@ -3,10 +3,11 @@
 The unknowns are the equilibrium, its critical eigenvector and both parameters (Moore and Spence, SIAM J. Numer. Anal.
 17 (1980) 567); of Hopf points q = a + iωb and κ = ω² (Roose and Hlaváček, SIAM J. Appl. Math. 45 (1985) 879):
 
-    fold:  f(u; λ) = 0,  A a = 0,  |a| = 1;     Hopf:  f(u; λ) = 0,  A b = a,  A a = −κ b,  |a|² + |b|² = 1,  c · b = 0.
+    fold:  f(u; λ) = 0,  A a = 0,  |a| = 1;
+    Hopf:  f(u; λ) = 0,  A b = a,  A a = −κ b,  |a|² + |b|² = 1,  c · b = 0.
 
-These equations are regular at cusps, at Bogdanov–Takens points, where κ = 0 and a curve of Hopf points goes on as one of
-neutral saddles, at zero–Hopf and at double Hopf points. Rates are in units of a frequency.
+These equations are regular at cusps, at Bogdanov–Takens points, where κ = 0 and a curve of Hopf points goes on as one
+of neutral saddles, at zero–Hopf and at double Hopf points. Rates are in units of a frequency.
 """
 
 from __future__ import annotations
@@ -147,7 +148,8 @@ class EigenvectorEquations:
         unit = np.concatenate([size, plane.width]) / (size[:, None] * plane.frequency)
         linear, images = slopes * unit, images * unit
         rows, missing = np.zeros((lanes, z.shape[1] - 1, z.shape[1])), np.zeros((lanes, z.shape[1] - 1))
-        missing[:, :d], rows[:, :d, :d], rows[:, :d, -2:] = rate / (size * plane.frequency), linear[..., :d], linear[..., d:]
+        missing[:, :d] = rate / (size * plane.frequency)
+        rows[:, :d, :d], rows[:, :d, -2:] = linear[..., :d], linear[..., d:]
         end = (1 + len(parts)) * d
         for k, part in enumerate(parts):
             mine = slice((k + 1) * d, (k + 2) * d)
