@@ -74,7 +74,7 @@ class _Point(NamedTuple):
     coefficients: Float[np.ndarray, " 4"] | None = None
 
 
-class _Followed(NamedTuple):
+class _CurveSet(NamedTuple):
     """Curves, errors of both parameters at their points, and points of codimension two."""
 
     curves: list[Curve]
@@ -127,7 +127,7 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     chosen = np.unique(second.values[sampled])
     batches = [_lanes_at(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
-    names, followed, still = (first.name, second.name), _Followed([], [], []), None
+    names, followed, still = (first.name, second.name), _CurveSet([], [], []), None
     if options.equilibria:
         still = equilibrium_curves(batches, lanes, options, names, low, high)
         followed = _of_equilibria(still)
@@ -137,7 +137,7 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     return {"curves": _dataset(*parts, options.max_period), "codimension_two": _special(*parts)}
 
 
-def _of_equilibria(still: EquilibriumCurves) -> _Followed:
+def _of_equilibria(still: EquilibriumCurves) -> _CurveSet:
     """Curves of folds and Hopf points."""
     plane, every = still
     special = [
@@ -145,7 +145,7 @@ def _of_equilibria(still: EquilibriumCurves) -> _Followed:
         for k, one in enumerate(every)
         for located, form in zip(one.points, one.forms, strict=True)
     ]
-    return _Followed([one.curve for one in every], [rounding_errors(plane, one.curve) for one in every], special)
+    return _CurveSet([one.curve for one in every], [rounding_errors(plane, one.curve) for one in every], special)
 
 
 def _of_orbits(
@@ -156,7 +156,7 @@ def _of_orbits(
     low: Float[np.ndarray, " 2"],
     high: Float[np.ndarray, " 2"],
     still: EquilibriumCurves | None,
-) -> _Followed:
+) -> _CurveSet:
     """Curves of bifurcations of periodic orbits, those among them that leave points of equilibria."""
     surveys = [survey_from_start(batch, lanes, options.max_period, "curves", options.transient) for batch in batches]
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
@@ -195,14 +195,14 @@ def _of_orbits(
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
         ]
-    return _Followed(curves, errors, special)
+    return _CurveSet(curves, errors, special)
 
 
-def _joined(one: _Followed, other: _Followed) -> _Followed:
+def _joined(one: _CurveSet, other: _CurveSet) -> _CurveSet:
     """All curves, one after the other."""
     first = len(one.curves)
     special = [point._replace(curve=first + point.curve) for point in other.special]
-    return _Followed([*one.curves, *other.curves], [*one.errors, *other.errors], [*one.special, *special])
+    return _CurveSet([*one.curves, *other.curves], [*one.errors, *other.errors], [*one.special, *special])
 
 
 def _lanes_at(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
@@ -248,7 +248,7 @@ def _passes(plane: ParameterPlane, curve: Curve, seed: _Seed) -> bool:
 # ---- the dataset
 
 
-def _dataset(batch: LaneBatch, axes: Sequence[Axis], followed: _Followed, limit: int) -> xr.Dataset:
+def _dataset(batch: LaneBatch, axes: Sequence[Axis], followed: _CurveSet, limit: int) -> xr.Dataset:
     """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
     curves, errors, special = followed
     shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
@@ -299,7 +299,7 @@ def _multiplier_words(curves: Sequence[Curve]) -> str:
     return words + "; of an equilibrium eigenvalues" if any(curve.equilibria for curve in curves) else words
 
 
-def _special(batch: LaneBatch, axes: Sequence[Axis], followed: _Followed) -> xr.Dataset:
+def _special(batch: LaneBatch, axes: Sequence[Axis], followed: _CurveSet) -> xr.Dataset:
     """Variables over (codimension_two,): the points of codimension two, each with its curve and its multipliers."""
     curves, _, special = followed
     multipliers = np.full((len(special), _dimension(batch, curves), 2), np.nan)

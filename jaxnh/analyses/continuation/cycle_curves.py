@@ -54,4 +54,4 @@ def _confirmed(plane: ParameterPlane, starts: Sequence[CycleStart]) -> list[Cycl
     extent = np.array([np.linalg.norm((start.points[0] - start.centre) / plane.size) for start in starts])
     good = solution.converged & (solution.missed <= _MOVED * extent)
     good &= np.all((both >= plane.low) & (both <= plane.high), axis=1)
-    return [starts[k]._replace(points=orbits[k], values=both[k]) for k in np.flatnonzero(good)]
+    return [starts[k]._replace(points=orbits[k], values=both[k]) for k in np.flatnonzero(good).tolist()]

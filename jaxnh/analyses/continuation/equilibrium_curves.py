@@ -118,7 +118,7 @@ def linearisations(
 ) -> Float[np.ndarray, "lanes d d"]:
     """Derivatives of the field at points, in units of the coordinates."""
     none = np.zeros((len(u), 1, u.shape[1]))
-    return np.asarray(plane.rates(u, values, none)[1])[:, :, : u.shape[1]]
+    return plane.rates(u, values, none)[1][:, :, : u.shape[1]]
 
 
 def follow_all(

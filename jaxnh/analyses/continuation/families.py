@@ -11,7 +11,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import Continuation
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
-from jaxnh.orbits.collocation.fields import EigenvectorRates, eigenvector_rates, mixed_derivative, point_rates
+from jaxnh.orbits.collocation.fields import eigenvector_rates, mixed_derivative, point_rates
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.curves import ParameterPlane
 from jaxnh.orbits.continuation.equilibrium_curves import FieldPlane
@@ -105,13 +105,14 @@ def field_plane(
         p = {key: np.full(len(values), leaf[0]) for key, leaf in batch.p.items()}
         return p | dict(zip(names, values.T, strict=True))
 
-    def rates(u: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> EigenvectorRates:
-        return lanes(eigenvector_rates, (flow,), (u, vectors, at(values)), tile=_TILE, static=(names,))
+    def rates_at(u: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rates = lanes(eigenvector_rates, (flow,), (u, vectors, at(values)), tile=_TILE, static=(names,))
+        return np.asarray(rates.rate), np.asarray(rates.slopes), np.asarray(rates.of_images)
 
     def mixed(u: np.ndarray, values: np.ndarray, ways: np.ndarray) -> np.ndarray:
         return lanes(mixed_derivative, (flow,), (u, ways, at(values)), tile=_TILE, static=(names,))
 
-    return FieldPlane(rates, mixed, flow.chart.wrap, size, 1.0 / flow.period, low, high)
+    return FieldPlane(rates_at, mixed, flow.chart.wrap, size, 1.0 / flow.period, low, high)
 
 
 def _nothing(u: Float[np.ndarray, "0 d"]) -> Derivatives:

@@ -25,7 +25,7 @@ PAIR = ((1,), (-1,))
 """Frequencies of w, w̄ of a Hopf point, in its own."""
 
 
-class Equilibria(NamedTuple):
+class LinearisedEquilibria(NamedTuple):
     """Equilibria of lanes, u (lanes, d) and values (lanes, 2), with their linearisations A (lanes, d, d)."""
 
     u: Float[np.ndarray, "lanes d"]
@@ -48,7 +48,7 @@ class CentreManifold(NamedTuple):
 
 
 def multilinear(
-    plane: FieldPlane, at: Equilibria, vectors: Sequence[Complex[np.ndarray, "lanes d_or_more"]]
+    plane: FieldPlane, at: LinearisedEquilibria, vectors: Sequence[Complex[np.ndarray, "lanes d_or_more"]]
 ) -> Complex[np.ndarray, "lanes d"]:
     """The form F^(k)(v_1, …, v_k) of complex vectors, which may have parts of both parameters after the coordinates."""
     lanes, d = at.u.shape
@@ -67,7 +67,7 @@ def multilinear(
 
 def centre_manifold(
     plane: FieldPlane,
-    at: Equilibria,
+    at: LinearisedEquilibria,
     vectors: Sequence[Complex[np.ndarray, "lanes d"]],
     eigenvalues: Sequence[Complex[np.ndarray, " lanes"]],
     frequencies: Sequence[tuple[int, ...]],
@@ -89,11 +89,10 @@ def centre_manifold(
     ranges = [range(max(order[k] for order in wanted) + 1) for k in range(count)]
     orders = [m for m in itertools.product(*ranges) if sum(m) > 1 and any(_divides(m, order) for order in wanted)]
     for m in sorted(orders, key=sum):
-        rest = sum(
-            number * multilinear(plane, at, [h[part] for part in parts])
-            for parts, number in _divisions(m).items()
-            if len(parts) > 1
-        )
+        rest = np.zeros(at.u.shape, complex)
+        for parts, number in _divisions(m).items():
+            if len(parts) > 1:
+                rest += number * multilinear(plane, at, [h[part] for part in parts])
         for (i, n), value in g.items():
             if _divides(n, m) and n != m:
                 other = tuple(a - b + c for a, b, c in zip(m, n, unit[i], strict=True))
@@ -101,7 +100,8 @@ def centre_manifold(
                 rest = rest - number * value[:, None] * h[other]
         turn = tuple(sum(k * f[j] for k, f in zip(m, frequencies, strict=True)) for j in range(len(frequencies[0])))
         resonant = [i for i in range(count) if tuple(frequencies[i]) == turn]
-        matrix = sum(k * x for k, x in zip(m, eigenvalues, strict=True))[:, None, None] * np.eye(d) - at.matrix
+        growth = np.sum([k * x for k, x in zip(m, eigenvalues, strict=True)], axis=0)
+        matrix = growth[:, None, None] * np.eye(d) - at.matrix
         for i in resonant:
             g[i, m] = np.sum(left[i] * rest, axis=1)
             rest = rest - g[i, m][:, None] * vectors[i]
@@ -111,7 +111,10 @@ def centre_manifold(
 
 
 def first_lyapunov(
-    plane: FieldPlane, at: Equilibria, vector: Complex[np.ndarray, "lanes d"], frequency: Float[np.ndarray, " lanes"]
+    plane: FieldPlane,
+    at: LinearisedEquilibria,
+    vector: Complex[np.ndarray, "lanes d"],
+    frequency: Float[np.ndarray, " lanes"],
 ) -> Float[np.ndarray, " lanes"]:
     """The real part of the cubic coefficient g₂₁/2 of Hopf points, in units of the coordinates; |q| = 1."""
     turns = (1j * frequency, -1j * frequency)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.orbits.bifurcations.centre_manifold import Equilibria, first_lyapunov, multilinear
+from jaxnh.orbits.bifurcations.centre_manifold import LinearisedEquilibria, first_lyapunov, multilinear
 from jaxnh.orbits.bifurcations.codimension_two import DOUBLE_HOPF, GENERALISED_HOPF, ZERO_HOPF
 from jaxnh.orbits.bifurcations.equilibrium_forms import NormalForm
 from jaxnh.orbits.bifurcations.equilibrium_points import EquilibriumPoint
@@ -94,10 +94,12 @@ class _Unfolding(NamedTuple):
     push: np.ndarray
 
 
-def _unfold(plane: FieldPlane, at: Equilibria, zero: tuple[np.ndarray, np.ndarray] | None = None) -> _Unfolding:
+def _unfold(
+    plane: FieldPlane, at: LinearisedEquilibria, zero: tuple[np.ndarray, np.ndarray] | None = None
+) -> _Unfolding:
     """The motion of the equilibrium over both parameters; with a zero eigenvalue across its eigenvectors."""
     d = at.u.shape[1]
-    slopes = np.asarray(plane.rates(at.u, at.values, np.zeros((1, 1, d)))[1])[0]
+    slopes = plane.rates(at.u, at.values, np.zeros((1, 1, d)))[1][0]
     matrix, by_values, push = slopes[:, :d], slopes[:, d:], np.zeros(2)
     if zero is not None:
         right, left = zero
@@ -126,7 +128,7 @@ def _bautin(plane: FieldPlane, point: EquilibriumPoint, form: NormalForm) -> _Ce
     def cubic(place: float) -> float:
         there = at_place(place)
         at = equations.split(there.z)
-        equilibria = Equilibria(at.u, at.values, there.blocks)
+        equilibria = LinearisedEquilibria(at.u, at.values, there.blocks)
         return float(first_lyapunov(plane, equilibria, at.vector(plane), at.frequency(plane))[0])
 
     rate = (cubic(_SHIFT) - cubic(-_SHIFT)) / (2.0 * _SHIFT)

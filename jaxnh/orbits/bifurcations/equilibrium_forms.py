@@ -15,7 +15,7 @@ from jaxtyping import Complex, Float
 from jaxnh.orbits.bifurcations.centre_manifold import (
     PAIR,
     CentreManifold,
-    Equilibria,
+    LinearisedEquilibria,
     Order,
     centre_manifold,
     multilinear,
@@ -60,7 +60,7 @@ class NormalForm(NamedTuple):
     """
 
     coefficients: Float[np.ndarray, " 4"]
-    at: Equilibria
+    at: LinearisedEquilibria
     vectors: Sequence[Complex[np.ndarray, "1 d"]]
     frequencies: Sequence[float]
     manifold: CentreManifold | None
@@ -69,7 +69,7 @@ class NormalForm(NamedTuple):
 def normal_form(plane: FieldPlane, point: EquilibriumPoint) -> NormalForm:
     """The normal form at a point of codimension two."""
     kind, matrix = point.point.kind, point.solution.blocks
-    at = Equilibria(point.point.points, point.point.values[None], matrix)
+    at = LinearisedEquilibria(point.point.points, point.point.values[None], matrix)
     coefficients = np.full(COUNT, np.nan)
     if kind == BOGDANOV_TAKENS:
         coefficients[:2] = _bogdanov_takens(plane, at)
@@ -91,7 +91,7 @@ def normal_form(plane: FieldPlane, point: EquilibriumPoint) -> NormalForm:
     return NormalForm(coefficients, at, vectors, frequencies, manifold)
 
 
-def _pairs(plane: FieldPlane, at: Equilibria, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+def _pairs(plane: FieldPlane, at: LinearisedEquilibria, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Eigenvectors and frequencies of imaginary pairs, the fastest first."""
     pairs, other = list[tuple[np.ndarray, np.ndarray]](), None
     for _ in range(count):
@@ -114,7 +114,7 @@ def _coefficients(kind: int, manifold: CentreManifold) -> list[float]:
     return [real(0, 2, 1, 0, 0) / 2.0, real(0, 1, 0, 1, 1), real(2, 1, 1, 1, 0), real(2, 0, 0, 2, 1) / 2.0]
 
 
-def _bogdanov_takens(plane: FieldPlane, at: Equilibria) -> tuple[float, float]:
+def _bogdanov_takens(plane: FieldPlane, at: LinearisedEquilibria) -> tuple[float, float]:
     """a and b, by the chain A q₁ = q₀ and its left counterpart p₀ A = p₁ (Kuznetsov 2004, 8.4)."""
     [matrix] = at.matrix
     left, _, right = np.linalg.svd(matrix)

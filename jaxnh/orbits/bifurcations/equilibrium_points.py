@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxnh.orbits.bifurcations.centre_manifold import Equilibria, first_lyapunov
+from jaxnh.orbits.bifurcations.centre_manifold import LinearisedEquilibria, first_lyapunov
 from jaxnh.orbits.bifurcations.codimension_two import (
     BOGDANOV_TAKENS,
     CUSP,
@@ -161,7 +161,7 @@ def _lyapunov(plane: FieldPlane, track: Solution) -> Float[np.ndarray, " lanes"]
     frequency, vector = at.frequency(plane), at.vector(plane)
     some = np.flatnonzero((at.square > _BEGUN) & track.converged)
     coefficient = np.full(len(track.z), np.nan)
-    equilibria = Equilibria(at.u[some], at.values[some], track.blocks[some])
+    equilibria = LinearisedEquilibria(at.u[some], at.values[some], track.blocks[some])
     if len(some):
         coefficient[some] = first_lyapunov(plane, equilibria, vector[some], frequency[some])
     return coefficient
