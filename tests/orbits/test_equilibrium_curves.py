@@ -6,10 +6,12 @@ tests (test/hopf_codim_2/lorenz84.jl), and curves of cycles with normal forms wh
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.optimize import root
 
 from jaxnh.analyses.continuation.cycle_curves import cycle_seeds
 from jaxnh.analyses.continuation.equilibria import section_plane
@@ -110,13 +112,13 @@ def conditions(at, names):
     return np.array(field + list(tests[names]))
 
 
-def exact_point(at, name):
-    """The root of the conditions next to a point, by Newton with derivatives in double and residuals in long double."""
+def newton(residual, at):
+    """The root next to a point, by Newton with derivatives in double and residuals in long double."""
     at, shift = np.array(at, np.longdouble), np.longdouble(1e-9)
-    columns = [(conditions(at + shift * unit, name) - conditions(at - shift * unit, name)) for unit in np.eye(6)]
+    columns = [(residual(at + shift * unit) - residual(at - shift * unit)) for unit in np.eye(len(at))]
     inverse = np.linalg.inv((np.array(columns).T / (2 * shift)).astype(float))
     for _ in range(5):
-        at = at - inverse.astype(np.longdouble) @ conditions(at, name)
+        at = at - inverse.astype(np.longdouble) @ residual(at)
     return at
 
 
@@ -148,7 +150,7 @@ def test_all_curves_of_lorenz84_from_one_fold(lorenz_curves):
         name = POINTS[point.point.kind]
         if name in ("cusp", "generalised_hopf"):
             continue
-        exact = exact_point([*point.point.points[0], *point.point.values], name)
+        exact = newton(partial(conditions, names=name), [*point.point.points[0], *point.point.values])
         assert np.all(np.abs(exact[4:] - point.point.values) <= point.error)
         assert np.all(point.error < 1e-13)
         assert np.abs(exact[:4] - point.point.points[0]).max() < 1e-11
@@ -270,3 +272,42 @@ def test_curves_of_cycles_from_points(lanes, define, names, u, kind, values, nam
         # parameter ten times less well.
         assert misses(define, one.values).max() < 1e-9
         assert len(one.values) > 5
+
+
+# ---- Bazykin's predator and prey
+
+
+def bazykin(alpha=0.3, delta=0.2):
+    """Bazykin's predator and prey, γ = 1, ε = 0.01 (Kuznetsov, Elements of Applied Bifurcation Theory, 2004, 8.4)."""
+
+    def rhs(state, time):
+        x, y = state
+        eaten = x * y / (1.0 + alpha * x)
+        return x - eaten - 0.01 * x * x, -y + eaten - delta * y * y
+
+    return {"rhs": rhs, "coordinates": ("x", "y")}
+
+
+def bazykin_conditions(at):
+    """The field, the trace and the determinant of its linearisation, in long double."""
+    x, y, alpha, delta = at
+    share, small = 1 + alpha * x, np.longdouble("0.01")
+    eaten, by_x, by_y = x * y / share, y / share**2, x / share
+    a, b, c, d = 1 - by_x - 2 * small * x, -by_y, by_x, -1 + by_y - 2 * delta * y
+    return np.array([x - eaten - small * x * x, -y + eaten - delta * y * y, a + d, a * d - b * c])
+
+
+def test_bogdanov_takens_points_of_bazykin(lanes):
+    """On the curve of folds, within their errors of the roots of their conditions; each begins a curve of Hopf points."""
+    low, high = {"alpha": 0.05, "delta": 0.01}, {"alpha": 1.0, "delta": 0.6}
+    flow = problem(bazykin, low, high, lanes, ("y", 1, 1.0))
+    x, y, alpha, delta = root(lambda at: bazykin_conditions(at).astype(float), [3.0, 1.9, 0.3, 0.2]).x
+    curves = curves_from(flow.field, FOLD, [x, y], [alpha, delta])
+    points = [p for one in curves for p in one.points if POINTS[p.point.kind] == "bogdanov_takens"]
+    assert KINDS[curves[0].curve.kind] == "fold"
+    assert len(points) >= 2
+    assert any(KINDS[one.curve.kind] == "hopf" for one in curves)
+    for point in points:
+        at = newton(bazykin_conditions, [*point.point.points[0], *point.point.values])
+        assert np.all(np.abs(at[2:] - point.point.values) <= point.error)
+        assert np.all(point.error < 1e-12)

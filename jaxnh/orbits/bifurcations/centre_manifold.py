@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxnh.orbits.continuation.equilibrium_curves import FieldPlane
+from jaxnh.orbits.newton import solve
 
 Order = tuple[int, ...]
 """Powers of the variables of the centre manifold."""
@@ -106,7 +107,7 @@ def centre_manifold(
             g[i, m] = np.sum(left[i] * rest, axis=1)
             rest = rest - g[i, m][:, None] * vectors[i]
             matrix = matrix + vectors[i][:, :, None] * left[i][:, None, :]  # regular, and p_i · h_m = 0
-        h[m] = np.linalg.solve(matrix, rest[..., None])[..., 0]
+        h[m] = solve(matrix, rest)  # no numbers at zero–Hopf points on curves of Hopf points
     return CentreManifold(h, g, left)
 
 
