@@ -124,7 +124,7 @@ section: {coordinate: y, value: -0.02, direction: up}
 sweep: {f: {start: 1.0, stop: 3.2, count: 6}, t: {start: -0.1, stop: 0.1, count: 5}}
 accuracy: {target: 1.0e-8}
 analyses:
-  curves: {max_period: MOST, transient: 16, n_values: 2, equilibria: 8, seed: 1, ds_max: 0.05, max_steps: 60,
+  curves: {max_period: PERIOD, transient: 16, n_values: 2, equilibria: 8, seed: 1, ds_max: 0.05, max_steps: STEPS,
     box: {x: [0, 2], y: [-1, 1], z: [-1, 1], u: [-1, 1]}}
 """
 
@@ -143,17 +143,17 @@ def system(f=2.0, t=0.04):
 """
 
 
-def lorenz84(folder, most):
+def lorenz84(folder, period, steps):
     file = folder / "lorenz84.py"
     file.write_text(FIELD)
-    text = LORENZ84.replace("FILE", str(file)).replace("MOST", str(most))
+    text = LORENZ84.replace("FILE", str(file)).replace("PERIOD", str(period)).replace("STEPS", str(steps))
     return session_of(jaxnh.Experiment.from_text(text)).tree()
 
 
 @pytest.mark.slow
 def test_curves_of_equilibria_of_lorenz84(tmp_path):
     """From random starts to all points of codimension two, with their tables and picture; no cycle is followed."""
-    tree = lorenz84(tmp_path, 0)
+    tree = lorenz84(tmp_path, 0, 500)
     data, points = tree["curves"], tree["codimension_two"]
     assert sorted(KINDS[kind] for kind in data["kind"].values) == ["fold", "hopf", "hopf", "hopf"]
     assert set(data["period"].values.tolist()) == {0}
@@ -169,8 +169,18 @@ def test_curves_of_equilibria_of_lorenz84(tmp_path):
 
 @pytest.mark.slow
 def test_curves_of_cycles_of_lorenz84(tmp_path):
-    """Folds of cycles from the generalised Hopf points and tori from the double Hopf points, with errors."""
-    data = lorenz84(tmp_path, 1)["curves"]
+    """Folds of cycles from the generalised Hopf points and tori from the double Hopf points.
+
+    u -> −u, t -> −t is a symmetry: curves from points at either t are images of each other, to their errors.
+    """
+    tree = lorenz84(tmp_path, 1, 60)
+    data, points = tree["curves"], tree["codimension_two"]
     cycles = [KINDS[kind] for kind, n in zip(data["kind"].values, data["period"].values, strict=True) if n]
     assert "fold" in cycles
-    assert "neimark_sacker" in cycles
+    assert cycles.count("neimark_sacker") == 4
+    third = np.flatnonzero(points["kind"].values == POINTS.index("resonance_1_3"))
+    assert len(third) == 2
+    for name, sign in (("f", 1.0), ("t", -1.0)):
+        one, other = points[name].values[third]
+        assert abs(one - sign * other) <= points[f"{name}_error"].values[third].sum()
+        assert points[f"{name}_error"].values[third].max() < 1e-9

@@ -230,8 +230,14 @@ def zero_and_pair(beta=0.0, nu=0.0):
 PLANE = -0.5, 0.6
 CLOSED = [
     (planar, ("mu", "beta"), [0.0, 0.0], HOPF, [0.0, 0.2], "generalised_hopf", "fold", 1),
-    (two_pairs, ("mu", "nu"), [0.0] * 4, HOPF, [0.0, 0.2], "double_hopf", "neimark_sacker", 2),
-    (zero_and_pair, ("beta", "nu"), [0.0] * 3, FOLD, [0.0, 0.2], "zero_hopf", "neimark_sacker", 1),
+    pytest.param(
+        *(two_pairs, ("mu", "nu"), [0.0] * 4, HOPF, [0.0, 0.2], "double_hopf", "neimark_sacker", 2),
+        marks=pytest.mark.slow,
+    ),
+    pytest.param(
+        *(zero_and_pair, ("beta", "nu"), [0.0] * 3, FOLD, [0.0, 0.2], "zero_hopf", "neimark_sacker", 1),
+        marks=pytest.mark.slow,
+    ),
 ]
 
 
