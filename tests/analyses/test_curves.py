@@ -121,7 +121,7 @@ LORENZ84 = """\
 system: {file: FILE}
 initial: {x: 1.0, y: 0.1, z: 0.3, u: 0.1}
 section: {coordinate: y, value: -0.02, direction: up}
-sweep: {f: {start: 1.0, stop: 3.2, count: 6}, t: {start: -0.1, stop: 0.1, count: 5}}
+sweep: {f: {start: 1.0, stop: 3.2, count: 6}, tau: {start: -0.1, stop: 0.1, count: 5}}
 accuracy: {target: 1.0e-8}
 analyses:
   curves: {max_period: PERIOD, transient: 16, n_values: 2, equilibria: 8, seed: 1, ds_max: 0.05, max_steps: STEPS,
@@ -129,14 +129,14 @@ analyses:
 """
 
 FIELD = """\
-def system(f=2.0, t=0.04):
+def system(f=2.0, tau=0.04):
     def rhs(state, time):
         x, y, z, u = state
         return (
             -y * y - z * z - 0.25 * x + 0.25 * f - 0.987 * u * u,
             x * y - x * z - y + 0.25,
             x * y + x * z - z,
-            -1.04 * u + 0.987 * u * x + t,
+            -1.04 * u + 0.987 * u * x + tau,
         )
 
     return {"rhs": rhs, "coordinates": ("x", "y", "z", "u")}
@@ -161,7 +161,7 @@ def test_curves_of_equilibria_of_lorenz84(tmp_path):
     assert {"cusp", "bogdanov_takens", "zero_hopf", "generalised_hopf", "double_hopf"} == set(names)
     # T of the double Hopf point in BifurcationKit's tests (test/hopf_codim_2/lorenz84.jl), where it is known to 1e-5.
     at = np.array([name == "double_hopf" for name in names])
-    assert np.abs(points["t"].values[at]) == pytest.approx(0.02627393, rel=1e-5)
+    assert np.abs(points["tau"].values[at]) == pytest.approx(0.02627393, rel=1e-5)
     assert np.isfinite(points["coefficients"].values[at]).all()
     assert np.isfinite(points["x"].values).all()
     jaxnh.figure(tree)
@@ -171,7 +171,7 @@ def test_curves_of_equilibria_of_lorenz84(tmp_path):
 def test_curves_of_cycles_of_lorenz84(tmp_path):
     """Folds of cycles from the generalised Hopf points and tori from the double Hopf points.
 
-    u -> −u, t -> −t is a symmetry: curves from points at either t are images of each other, to their errors.
+    u -> −u, τ -> −τ is a symmetry: curves from points at either τ are images of each other, to their errors.
     """
     tree = lorenz84(tmp_path, 1, 60)
     data, points = tree["curves"], tree["codimension_two"]
@@ -180,7 +180,7 @@ def test_curves_of_cycles_of_lorenz84(tmp_path):
     assert cycles.count("neimark_sacker") == 4
     third = np.flatnonzero(points["kind"].values == POINTS.index("resonance_1_3"))
     assert len(third) == 2
-    for name, sign in (("f", 1.0), ("t", -1.0)):
+    for name, sign in (("f", 1.0), ("tau", -1.0)):
         one, other = points[name].values[third]
         assert abs(one - sign * other) <= points[f"{name}_error"].values[third].sum()
         assert points[f"{name}_error"].values[third].max() < 1e-9
