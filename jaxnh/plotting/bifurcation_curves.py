@@ -24,6 +24,10 @@ _SHORT = {
     "resonance 1 2": "R2",
     "resonance 1 3": "R3",
     "resonance 1 4": "R4",
+    "bogdanov takens": "BT",
+    "generalised hopf": "GH",
+    "zero hopf": "ZH",
+    "double hopf": "HH",
 }
 
 
@@ -60,7 +64,8 @@ def draw_curves(data: xr.Dataset, ax: Axes, background: bool = False) -> None:
     seen: set[tuple[int, int]] = set()
     for k in range(data.sizes["curve"]):
         what, n = int(kind[k]), int(period[k])
-        words = f"{named[what][0]}, period {n}" if (what, n) not in seen else None
+        orbit = f"period {n}" if n else "equilibria"
+        words = f"{named[what][0]}, {orbit}" if (what, n) not in seen else None
         seen.add((what, n))
         x, y = across.isel(curve=k).to_numpy(), up.isel(curve=k).to_numpy()
         dash = _DASHES[periods.index(n) % len(_DASHES)]

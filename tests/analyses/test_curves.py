@@ -101,3 +101,86 @@ def test_doublings_of_the_particle_over_two_parameters(target):
             slope = abs(np.diff(b[beside])[0] / np.diff(a[beside])[0])
             errors = [float(data[f"{name}_error"].values[k, place]) for name in ("b", "a")]
             assert abs(value - exact) <= errors[0] + slope * errors[1] + 1e-11
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("{equilibria: 4, box: {x: [-1, 1]}}", "a flow with a clock has no equilibria"),
+        ("{equilibria: 4}", "needs a box to draw from"),
+        ("{box: {x: [-1, 1]}}", "needs equilibria, their number"),
+        ("{max_period: 0}", "give equilibria"),
+    ],
+)
+def test_equilibria_that_curves_cannot_follow(tmp_path, options, message):
+    with pytest.raises(ConfigError, match=message):
+        cusp(tmp_path, options=options).requested()
+
+
+LORENZ84 = """\
+system: {file: FILE}
+initial: {x: 1.0, y: 0.1, z: 0.3, u: 0.1}
+section: {coordinate: y, value: -0.02, direction: up}
+sweep: {f: {start: 1.0, stop: 3.2, count: 6}, tau: {start: -0.1, stop: 0.1, count: 5}}
+accuracy: {target: 1.0e-8}
+analyses:
+  curves: {max_period: PERIOD, transient: 16, n_values: 2, equilibria: 8, seed: 1, ds_max: 0.05, max_steps: STEPS,
+    box: {x: [0, 2], y: [-1, 1], z: [-1, 1], u: [-1, 1]}}
+"""
+
+FIELD = """\
+def system(f=2.0, tau=0.04):
+    def rhs(state, time):
+        x, y, z, u = state
+        return (
+            -y * y - z * z - 0.25 * x + 0.25 * f - 0.987 * u * u,
+            x * y - x * z - y + 0.25,
+            x * y + x * z - z,
+            -1.04 * u + 0.987 * u * x + tau,
+        )
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z", "u")}
+"""
+
+
+def lorenz84(folder, period, steps):
+    file = folder / "lorenz84.py"
+    file.write_text(FIELD)
+    text = LORENZ84.replace("FILE", str(file)).replace("PERIOD", str(period)).replace("STEPS", str(steps))
+    return session_of(jaxnh.Experiment.from_text(text)).tree()
+
+
+@pytest.mark.slow
+def test_curves_of_equilibria_of_lorenz84(tmp_path):
+    """From random starts to all points of codimension two, with their tables and picture; no cycle is followed."""
+    tree = lorenz84(tmp_path, 0, 500)
+    data, points = tree["curves"], tree["codimension_two"]
+    assert sorted(KINDS[kind] for kind in data["kind"].values) == ["fold", "hopf", "hopf", "hopf"]
+    assert set(data["period"].values.tolist()) == {0}
+    names = [POINTS[kind] for kind in points["kind"].values]
+    assert {"cusp", "bogdanov_takens", "zero_hopf", "generalised_hopf", "double_hopf"} == set(names)
+    # T of the double Hopf point in BifurcationKit's tests (test/hopf_codim_2/lorenz84.jl), where it is known to 1e-5.
+    at = np.array([name == "double_hopf" for name in names])
+    assert np.abs(points["tau"].values[at]) == pytest.approx(0.02627393, rel=1e-5)
+    assert np.isfinite(points["coefficients"].values[at]).all()
+    assert np.isfinite(points["x"].values).all()
+    jaxnh.figure(tree)
+
+
+@pytest.mark.slow
+def test_curves_of_cycles_of_lorenz84(tmp_path):
+    """Folds of cycles from the generalised Hopf points and tori from the double Hopf points.
+
+    u -> −u, τ -> −τ is a symmetry: curves from points at either τ are images of each other, to their errors.
+    """
+    tree = lorenz84(tmp_path, 1, 60)
+    data, points = tree["curves"], tree["codimension_two"]
+    cycles = [KINDS[kind] for kind, n in zip(data["kind"].values, data["period"].values, strict=True) if n]
+    assert "fold" in cycles
+    assert cycles.count("neimark_sacker") == 4
+    third = np.flatnonzero(points["kind"].values == POINTS.index("resonance_1_3"))
+    assert len(third) == 2
+    for name, sign in (("f", 1.0), ("tau", -1.0)):
+        one, other = points[name].values[third]
+        assert abs(one - sign * other) <= points[f"{name}_error"].values[third].sum()
+        assert points[f"{name}_error"].values[third].max() < 1e-9

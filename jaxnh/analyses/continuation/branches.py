@@ -28,7 +28,7 @@ from jaxnh.analyses.base import (
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.cycle_points import durations, tree_of_cycles
 from jaxnh.analyses.continuation.cycles import grow_cycles
-from jaxnh.analyses.continuation.equilibria import cycles_at_hopf_points, equilibria
+from jaxnh.analyses.continuation.equilibria import check_equilibria, cycles_at_hopf_points, equilibria
 from jaxnh.analyses.continuation.families import orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
@@ -75,13 +75,10 @@ def check(options: BranchesOptions, setting: Setting) -> None:
         raise OptionError(f"{name} is what branches calls a number of its own; rename it")
     if options.box:
         check_box(options.box, setting, "box")
-    if options.equilibria and not setting.autonomous:
-        what = "a flow with a clock" if setting.flow.continuous else "a map has orbits of period 1, and"
-        raise OptionError(f"{what} has no equilibria; leave it out", "equilibria")
+    if options.equilibria:
+        check_equilibria(setting)
     if options.method == "collocation" and (why := _no_collocation(setting.flow)):
         raise OptionError(f"{why}; take method: shooting", "method")
-    if options.equilibria and setting.flow.chart.dimension > setting.flow.exponents:
-        raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
 
 
 def _no_collocation(flow: Flow) -> str:

@@ -1,4 +1,4 @@
-"""Curves of bifurcations over two parameters: folds, doublings and Neimark–Sacker bifurcations of periodic orbits.
+"""Curves of bifurcations over two parameters: of periodic orbits, and of equilibria where they are asked for.
 
 Bifurcations to begin with are those of the branches over the first axis at some values of the second, from what lanes
 settle on there (`branches`). All curves of one kind and period are then followed together
@@ -28,14 +28,20 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
+from jaxnh.analyses.continuation.cycle_curves import cycle_seeds
+from jaxnh.analyses.continuation.equilibria import check_equilibria, section_plane
+from jaxnh.analyses.continuation.equilibrium_curves import EquilibriumCurves, equilibrium_curves, rounding_errors
 from jaxnh.analyses.continuation.families import orbit_family, parameter_plane, step_control
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
+from jaxnh.analyses.random_starts import check_box
+from jaxnh.maps.section import Section
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.bifurcations.curve_errors import errors_of_points, errors_of_special, refine_curve
+from jaxnh.orbits.bifurcations.equilibrium_forms import COUNT, TERMS
 from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, follow_both_ways, join_unknowns
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
 from jaxnh.orbits.continuation.paths import ENDS, STEPS
@@ -57,11 +63,23 @@ class _Seed(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """A point of codimension two, the number of its curve, and errors of both parameters."""
+    """A point of codimension two, the number of its curve, and errors of both parameters.
+
+    Of equilibria the coefficients of its normal form as well.
+    """
 
     curve: int
     point: Special
     error: Float[np.ndarray, " 2"]
+    coefficients: Float[np.ndarray, " 4"] | None = None
+
+
+class _CurveSet(NamedTuple):
+    """Curves, errors of both parameters at their points, and points of codimension two."""
+
+    curves: list[Curve]
+    errors: list[Float[np.ndarray, "k 2"]]
+    special: list[_Point]
 
 
 def periods(options: CurvesOptions, lanes: int) -> float:
@@ -87,6 +105,10 @@ def check(options: CurvesOptions, setting: Setting) -> None:
             raise OptionError(f"curves are followed over a range of {axis.name}, and the sweep has one value of it")
     own = {*_OWN_NAMES, *(f"{name}_error" for name in names)}
     own |= {f"codimension_two_{name}{rest}" for name in names for rest in ("", "_error")}
+    if options.equilibria:
+        check_equilibria(setting)
+        check_box(options.box, setting, "box")
+        own.add("coefficients")
     for name in {*names, *setting.flow.coordinates} & own:
         raise OptionError(f"{name} is what curves calls a number of its own; rename it")
 
@@ -105,26 +127,63 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
     chosen = np.unique(second.values[sampled])
     batches = [_lanes_at(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
+    names, followed, still = (first.name, second.name), _CurveSet([], [], []), None
+    if options.equilibria:
+        still = equilibrium_curves(batches, lanes, options, names, low, high)
+        followed = _of_equilibria(still)
+    if options.max_period:
+        followed = _joined(followed, _of_orbits(options, batches, lanes, names, low, high, still))
+    parts = batches[0], sweep.axes, followed
+    return {"curves": _dataset(*parts, options.max_period), "codimension_two": _special(*parts)}
+
+
+def _of_equilibria(still: EquilibriumCurves) -> _CurveSet:
+    """Curves of folds and Hopf points."""
+    plane, every = still
+    special = [
+        _Point(k, located.point, located.error, form.coefficients)
+        for k, one in enumerate(every)
+        for located, form in zip(one.points, one.forms, strict=True)
+    ]
+    return _CurveSet([one.curve for one in every], [rounding_errors(plane, one.curve) for one in every], special)
+
+
+def _of_orbits(
+    options: CurvesOptions,
+    batches: Sequence[LaneBatch],
+    lanes: LaneRunner,
+    names: tuple[str, str],
+    low: Float[np.ndarray, " 2"],
+    high: Float[np.ndarray, " 2"],
+    still: EquilibriumCurves | None,
+) -> _CurveSet:
+    """Curves of bifurcations of periodic orbits, those among them that leave points of equilibria."""
     surveys = [survey_from_start(batch, lanes, options.max_period, "curves", options.transient) for batch in batches]
     sizes = np.concatenate([survey.size[~survey.failed] for survey in surveys])
     size = np.median(sizes, axis=0) if len(sizes) else np.ones(batches[0].system.chart.dimension)
-    names = (first.name, second.name)
     plane, *others = (
         parameter_plane(batches[0], lanes, strobe, size, names, low, high) for strobe in refined_maps(batches[0])
     )
     curves, steps = list[Curve](), step_control(options)._replace(max_steps=STEPS.max_steps)
-    for batch, survey, value in zip(batches, surveys, chosen.tolist(), strict=True):
+    for batch, survey in zip(batches, surveys, strict=True):
+        second, value = names[1], float(batch.p[names[1]][0])
         period = np.where(survey.failed, 0, survey.period)
         waves = attractor_waves(batch, lanes, survey.u, period)
         families = [orbit_family(batch, lanes, strobe, size, (low[0], high[0])) for strobe in refined_maps(batch)]
-        with lanes.stage(f"curves: bifurcations at {second.name} = {value:g}", 0):
+        with lanes.stage(f"curves: bifurcations at {second} = {value:g}", 0):
             tree = grow(families, waves, options.max_period, steps)
         seeds = [
             _Seed(point.kind, point.points, np.array([point.value, value]))
             for point in tree.bifurcations
             if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)
         ]
-        with lanes.stage(f"curves: from {len(seeds)} bifurcations at {second.name} = {value:g}", 0):
+        with lanes.stage(f"curves: from {len(seeds)} bifurcations at {second} = {value:g}", 0):
+            curves += _follow_curves(plane, curves, seeds, options)
+    if still is not None and isinstance(batches[0].system, Section):
+        points = [pair for one in still.curves for pair in zip(one.points, one.forms, strict=True)]
+        with lanes.stage("curves: of cycles from points of codimension two of equilibria", 0):
+            starts = cycle_seeds(still.plane, plane, section_plane(batches[0].system), points)
+            seeds = [_Seed(start.kind, start.points, start.values) for start in starts]
             curves += _follow_curves(plane, curves, seeds, options)
     curves.sort(key=lambda curve: (curve.period, curve.kind))
     with lanes.stage(f"curves: errors of {len(curves)}", 0):
@@ -136,8 +195,14 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
         ]
-    dataset = _dataset(batches[0], sweep.axes, curves, errors, special, options.max_period)
-    return {"curves": dataset, "codimension_two": _special(batches[0], sweep.axes, curves, special)}
+    return _CurveSet(curves, errors, special)
+
+
+def _joined(one: _CurveSet, other: _CurveSet) -> _CurveSet:
+    """All curves, one after the other."""
+    first = len(one.curves)
+    special = [point._replace(curve=first + point.curve) for point in other.special]
+    return _CurveSet([*one.curves, *other.curves], [*one.errors, *other.errors], [*one.special, *special])
 
 
 def _lanes_at(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
@@ -183,24 +248,18 @@ def _passes(plane: ParameterPlane, curve: Curve, seed: _Seed) -> bool:
 # ---- the dataset
 
 
-def _dataset(
-    batch: LaneBatch,
-    axes: Sequence[Axis],
-    curves: Sequence[Curve],
-    errors: Sequence[np.ndarray],
-    special: Sequence[_Point],
-    limit: int,
-) -> xr.Dataset:
+def _dataset(batch: LaneBatch, axes: Sequence[Axis], followed: _CurveSet, limit: int) -> xr.Dataset:
     """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
+    curves, errors, special = followed
     shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
 
     def table(values: Sequence[np.ndarray], *more: int) -> np.ndarray:
         filled = np.full((*shape, *more), np.nan)
         for k, one in enumerate(values):
-            filled[k, : len(one)] = one
+            filled[(k, *map(slice, one.shape))] = one
         return filled
 
-    dims, d = ("curve", "point"), batch.chart.dimension
+    dims, d = ("curve", "point"), _dimension(batch, curves)
     multipliers = [np.stack([np.real(curve.multipliers), np.imag(curve.multipliers)], axis=-1) for curve in curves]
     columns: dict[str, Entry] = {}
     for k, axis in enumerate(axes):
@@ -218,9 +277,7 @@ def _dataset(
             "period of the orbit",
             counted_in=iterate_units(batch.system),
         ),
-        "multipliers": variable(
-            (*dims, "multiplier", "part"), table(multipliers, d, 2), "Floquet multipliers, real and imaginary part"
-        ),
+        "multipliers": variable((*dims, "multiplier", "part"), table(multipliers, d, 2), _multiplier_words(curves)),
         "begins": flag("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
         "ends": flag("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
         **_kind_and_curve("codimension_two_", special),
@@ -232,23 +289,55 @@ def _dataset(
     return xr.Dataset(filled, attrs=attrs)
 
 
-def _special(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[Curve], special: Sequence[_Point]) -> xr.Dataset:
+def _dimension(batch: LaneBatch, curves: Sequence[Curve]) -> int:
+    """Most multipliers of an orbit, or eigenvalues of an equilibrium."""
+    return max([batch.chart.dimension, *(curve.multipliers.shape[1] for curve in curves)])
+
+
+def _multiplier_words(curves: Sequence[Curve]) -> str:
+    words = "Floquet multipliers, real and imaginary part"
+    return words + "; of an equilibrium eigenvalues" if any(curve.equilibria for curve in curves) else words
+
+
+def _special(batch: LaneBatch, axes: Sequence[Axis], followed: _CurveSet) -> xr.Dataset:
     """Variables over (codimension_two,): the points of codimension two, each with its curve and its multipliers."""
-    multipliers = np.full((len(special), batch.chart.dimension, 2), np.nan)
-    for k, (_, point, _) in enumerate(special):
-        multipliers[k] = np.stack([np.real(point.multipliers), np.imag(point.multipliers)], axis=-1)
+    curves, _, special = followed
+    multipliers = np.full((len(special), _dimension(batch, curves), 2), np.nan)
+    for k, (_, point, *_) in enumerate(special):
+        values = point.multipliers
+        multipliers[k, : len(values)] = np.stack([np.real(values), np.imag(values)], axis=-1)
     period = np.array([curves[point.curve].period for point in special], np.int32)
     variables = {
         **_kind_and_curve("", special),
         "period": variable("codimension_two", period, "period of the orbit", counted_in=iterate_units(batch.system)),
-        "multipliers": variable(
-            ("codimension_two", "multiplier", "part"), multipliers, "Floquet multipliers, real and imaginary part"
-        ),
+        "multipliers": variable(("codimension_two", "multiplier", "part"), multipliers, _multiplier_words(curves)),
     }
     for k, axis in enumerate(axes):
         variables |= _at_special(axis.name, axis, k, special, axis.long_name)
+    if any(curve.equilibria for curve in curves):
+        variables |= _of_points(batch, special)
     names = " ".join(axis.name for axis in axes)
     return xr.Dataset(variables, attrs={"over": names})
+
+
+def _of_points(batch: LaneBatch, special: Sequence[_Point]) -> dict[str, Entry]:
+    """Coordinates and normal forms of equilibria at points of codimension two; NaN of orbits."""
+    dim, flow = "codimension_two", batch.flow
+    none = np.full((len(special), COUNT), np.nan)
+    coefficients = np.array([none[0] if one.coefficients is None else one.coefficients for one in special])
+    forms = "; ".join(f"{POINTS[kind]}: {form}: {names}" for kind, (form, names) in TERMS.items())
+    variables = {
+        "coefficients": variable(
+            (dim, "coefficient"),
+            coefficients.reshape(none.shape),
+            "coefficients of the normal form",
+            normal_forms=forms,
+        )
+    }
+    for k, name in enumerate(flow.coordinates):
+        values = [np.nan if one.coefficients is None else float(one.point.points[0, k]) for one in special]
+        variables[name] = variable(dim, np.array(values), f"{flow.labels.long_names[name]} of the equilibrium")
+    return variables
 
 
 def _kind_and_curve(before: str, special: Sequence[_Point]) -> dict[str, Entry]:
@@ -278,7 +367,7 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     rows = []
     for k in range(data.sizes["codimension_two"]):
         curve = int(data["codimension_two_curve"][k])
-        kind, period = KINDS[int(data["kind"][curve])], int(data["period"][curve])
+        kind, period = KINDS[int(data["kind"][curve])], int(data["period"][curve]) or "of equilibria"
         at = (
             f"{float(data[f'codimension_two_{name}'][k]):.9g} ± {float(data[f'codimension_two_{name}_error'][k]):.1g}"
             for name in (first, second)

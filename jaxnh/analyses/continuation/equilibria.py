@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxnh.analyses.base import OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.families import equilibrium_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
@@ -20,8 +21,19 @@ from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.kinds import HOPF
 from jaxnh.orbits.continuation.paths import StepControl
 
-_AMPLITUDES = (0.01, 0.02, 0.05, 0.1, 0.2)  # of cycles at Hopf points that are tried, in sizes of the box
+AMPLITUDES = (0.01, 0.02, 0.05, 0.1, 0.2)
+"""Of cycles at Hopf points that are tried, in sizes of the box."""
+
 _FARTHEST = 100.0  # sizes of the box: equilibria further out are none of those looked for
+
+
+def check_equilibria(setting: Setting) -> None:
+    """Check that a flow has isolated equilibria."""
+    if not setting.autonomous:
+        what = "a flow with a clock" if setting.flow.continuous else "a map has orbits of period 1, and"
+        raise OptionError(f"{what} has no equilibria; leave it out", "equilibria")
+    if setting.flow.chart.dimension > setting.flow.exponents:
+        raise OptionError("equilibria of a flow with constraints are not isolated; leave it out", "equilibria")
 
 
 def equilibria(
@@ -73,11 +85,16 @@ def cycles_at_hopf_points(followed: FollowedBranches, family: Family, section: S
     hopf = [point for point in followed.tree.bifurcations if point.kind == HOPF]
     if not hopf:
         return []
-    weights = np.zeros(followed.batch.chart.dimension)
+    plane = section_plane(section)
+    u, value = np.array([point.points[0] for point in hopf]), np.array([point.value for point in hopf])
+    cycles = first_cycles(family, hopf_points(followed.family, u, value), plane, AMPLITUDES)
+    return [SeedOrbit(cycle.points[0], float(cycle.value[0])) for cycle in cycles]
+
+
+def section_plane(section: Section) -> SectionPlane:
+    """The plane of a section, by all coordinates."""
+    weights = np.zeros(section.flow.chart.dimension)
     weights[: len(section.normal or ())] = section.normal or ()
     if section.normal is None:
         weights[section.number] = 1.0
-    plane = SectionPlane(weights, section.value, section.direction, section.number)
-    u, value = np.array([point.points[0] for point in hopf]), np.array([point.value for point in hopf])
-    cycles = first_cycles(family, hopf_points(followed.family, u, value), plane, _AMPLITUDES)
-    return [SeedOrbit(cycle.points[0], float(cycle.value[0])) for cycle in cycles]
+    return SectionPlane(weights, section.value, section.direction, section.number)

@@ -11,9 +11,10 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import Continuation
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
-from jaxnh.orbits.collocation.fields import point_rates
+from jaxnh.orbits.collocation.fields import eigenvector_rates, mixed_derivative, point_rates
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.curves import ParameterPlane
+from jaxnh.orbits.continuation.equilibrium_curves import FieldPlane
 from jaxnh.orbits.continuation.paths import StepControl
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
@@ -87,6 +88,31 @@ def equilibrium_family(
         return Derivatives(u + at.rate, np.eye(u.shape[1]) + at.jacobian, at.by_parameters[..., 0])
 
     return Family(period, batch.chart.wrap, size, *ends, field=True)
+
+
+def field_plane(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    size: Float[np.ndarray, " d"],
+    names: tuple[str, str],
+    low: Float[np.ndarray, " 2"],
+    high: Float[np.ndarray, " 2"],
+) -> FieldPlane:
+    """The field of a batch's flow, which has no clock, over a plane of two parameters, between their ends."""
+    flow = batch.flow
+
+    def at(values: Float[np.ndarray, "lanes 2"]) -> dict[str, np.ndarray]:
+        p = {key: np.full(len(values), leaf[0]) for key, leaf in batch.p.items()}
+        return p | dict(zip(names, values.T, strict=True))
+
+    def rates_at(u: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rates = lanes(eigenvector_rates, (flow,), (u, vectors, at(values)), tile=_TILE, static=(names,))
+        return np.asarray(rates.rate), np.asarray(rates.slopes), np.asarray(rates.of_images)
+
+    def mixed(u: np.ndarray, values: np.ndarray, ways: np.ndarray) -> np.ndarray:
+        return lanes(mixed_derivative, (flow,), (u, ways, at(values)), tile=_TILE, static=(names,))
+
+    return FieldPlane(rates_at, mixed, flow.chart.wrap, size, 1.0 / flow.period, low, high)
 
 
 def _nothing(u: Float[np.ndarray, "0 d"]) -> Derivatives:

@@ -73,10 +73,12 @@ def rule(message: str, *keys: str) -> PydanticCustomError:
     return PydanticCustomError("rule", "{message}", {"message": message, "keys": keys})
 
 
-def check_random_starts(box: Mapping[str, tuple[float, float]], n_starts: int, seeded: bool) -> None:
+def check_random_starts(
+    box: Mapping[str, tuple[float, float]], n_starts: int, seeded: bool, name: str = "n_starts"
+) -> None:
     """Check that random starts have a box to be drawn from, whose sides are in order, and that a seed is of some."""
     if bool(n_starts) != bool(box):
-        raise rule(*(("needs n_starts, their number", "box") if box else ("needs a box to draw from", "n_starts")))
+        raise rule(*((f"needs {name}, their number", "box") if box else ("needs a box to draw from", name)))
     check_sides(box)
     if seeded and not n_starts:
         raise rule("goes with starts, and there are none", "seed")

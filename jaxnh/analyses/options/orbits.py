@@ -105,13 +105,30 @@ class CurvesOptions(Continuation):
     untimed: ClassVar[bool] = True
 
     max_period: int = Field(
-        default=2, ge=1, le=64, description="Largest period of the orbits whose bifurcations are followed"
+        default=2, ge=0, le=64, description="Largest period of the orbits whose bifurcations are followed; 0: of none"
     )
     transient: int = Field(default=512, ge=1, description="Periods before lanes are looked at")
     n_values: int = Field(
         default=3, ge=1, description="Number of values of the second axis at which bifurcations are looked for"
     )
+    equilibria: int = Field(
+        default=0,
+        ge=0,
+        description="Random starts of Newton for equilibria of a flow without a clock, whose folds and Hopf points are "
+        "followed as well; needs a box",
+    )
+    seed: int = Field(default=0, ge=0, description="Seed of the random starts")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
+    )
     max_steps: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
+
+    @model_validator(mode="after")
+    def _check(self) -> CurvesOptions:
+        check_random_starts(self.box, self.equilibria, "seed" in self.model_fields_set, "equilibria")
+        if not (self.max_period or self.equilibria):
+            raise rule("without periodic orbits there are curves of equilibria alone: give equilibria", "max_period")
+        return self
 
 
 class WindowsOptions(SensitivityOptions):

@@ -37,10 +37,15 @@ POINTS = (
     "resonance_1_2",
     "resonance_1_3",
     "resonance_1_4",
+    "bogdanov_takens",
+    "generalised_hopf",
+    "zero_hopf",
+    "double_hopf",
 )
-"""Points of codimension two by number."""
+"""Points of codimension two by number; the last four are of equilibria, and cusps of both."""
 
-CUSP, GENERALISED_DOUBLING, CHENCINER, FOLD_FLIP, ONE_ONE, ONE_TWO, ONE_THREE, ONE_FOUR = range(len(POINTS))
+CUSP, GENERALISED_DOUBLING, CHENCINER, FOLD_FLIP, ONE_ONE, ONE_TWO, ONE_THREE, ONE_FOUR, *_ = range(len(POINTS))
+BOGDANOV_TAKENS, GENERALISED_HOPF, ZERO_HOPF, DOUBLE_HOPF = range(ONE_FOUR + 1, len(POINTS))
 
 _SECANTS = 40
 _KNOWN = 1e-12  # of the chord: a zero is known to rounding

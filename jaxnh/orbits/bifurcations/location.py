@@ -20,9 +20,11 @@ from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, test_functions
 from jaxnh.orbits.continuation.paths import COLLAPSED
 
-_NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)  # Chebyshev nodes of [−1, 1]
+NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)
+"""Chebyshev nodes of [−1, 1]."""
+
 _DEGREE = 3  # two less than what would go through all nodes: the rest shows truncation and rounding
-_FIT = np.linalg.pinv(np.vander(_NODES, _DEGREE + 1, increasing=True))
+_FIT = np.linalg.pinv(np.vander(NODES, _DEGREE + 1, increasing=True))
 _NARROWER = 64  # from round to round
 _ROUNDS = 4
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
@@ -123,11 +125,11 @@ def locate(
     sharp, open_ = np.full(count, np.inf), np.arange(count)
     for _ in range(_ROUNDS):
         part: Brackets = jax.tree.map(lambda leaf, o=open_: leaf[o], stretch)
-        shares = centre[open_, None] + widths[open_, None] * _NODES
-        nodes = _orbits(family, jax.tree.map(lambda leaf: np.repeat(leaf, len(_NODES), axis=0), part), shares.ravel())
+        shares = centre[open_, None] + widths[open_, None] * NODES
+        nodes = _orbits(family, jax.tree.map(lambda leaf: np.repeat(leaf, len(NODES), axis=0), part), shares.ravel())
         good = nodes.converged.reshape(shares.shape).all(axis=1)
-        tests = _own_test(family, nodes, np.repeat(part.kind, len(_NODES))).reshape(shares.shape)
-        root, blur, value, error, bend = _roots(tests, nodes.value.reshape(shares.shape))
+        tests = _own_test(family, nodes, np.repeat(part.kind, len(NODES))).reshape(shares.shape)
+        root, blur, value, error, bend = roots(tests, nodes.value.reshape(shares.shape))
         blur = blur * widths[open_]
         with np.errstate(invalid="ignore"):
             good &= np.isfinite(root) & (blur < _NOISE * half) & (error < 0.25 * best.error[open_])
@@ -226,7 +228,7 @@ def _own_test(family: Family, nodes: CurveOrbits, kind: Int[np.ndarray, " nodes"
         return np.take_along_axis(test_functions(family, safe), column[:, None], axis=1)[:, 0]
 
 
-def _roots(
+def roots(
     tests: Float[np.ndarray, "some nodes"], values: Float[np.ndarray, "some nodes"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Roots of polynomials through test functions, in nodes' widths, with their errors.
@@ -235,9 +237,7 @@ def _roots(
     """
     reference = values[:, :1]
     fit, line = _fit(tests), _fit(values - reference)
-    misfit, off = (
-        np.abs(x - _polynomial(c, _NODES)).max(axis=1) for x, c in ((tests, fit), (values - reference, line))
-    )
+    misfit, off = (np.abs(x - _polynomial(c, NODES)).max(axis=1) for x, c in ((tests, fit), (values - reference, line)))
     root = np.full(len(tests), np.nan)
     for k in np.flatnonzero(np.isfinite(fit).all(axis=1)):
         all_ = np.polynomial.polynomial.polyroots(fit[k])

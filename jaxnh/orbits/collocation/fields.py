@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -13,6 +16,55 @@ from jaxnh.systems.flow import Flow, Parameters
 
 def point_rates(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, names: tuple[str, ...]) -> FieldValues:
     """The rates of the coordinates at a point, with derivatives in them and in parameters by name."""
+    rate, values = _rate_and_values(flow, u, t, p, names)
+    return FieldValues(rate(u, values), *jax.jacfwd(rate, (0, 1))(u, values))  # pyright: ignore[reportArgumentType]
+
+
+class EigenvectorRates(NamedTuple):
+    """Rates (d,) at a point, and derivatives in coordinates and parameters: theirs (d, d + q), and those of A v."""
+
+    rate: Float[Array, " d"]
+    slopes: Float[Array, "d d+q"]
+    of_images: Float[Array, "m d d+q"]
+
+
+def eigenvector_rates(
+    flow: Flow, u: Float[Array, " d"], vectors: Float[Array, "m d"], p: Parameters, names: tuple[str, ...]
+) -> EigenvectorRates:
+    """The rates at a point of a flow without a clock, and the derivatives of the images A v of m vectors."""
+    rate, values = _rate_and_values(flow, u, 0.0, p, names)
+
+    def slopes(function: _Rate) -> Array:
+        return jnp.concatenate(jax.jacfwd(function, (0, 1))(u, values), axis=1)
+
+    def of_image(vector: Array) -> Array:
+        return slopes(_along(rate, vector, jnp.zeros_like(values)))
+
+    return EigenvectorRates(rate(u, values), slopes(rate), jax.vmap(of_image)(vectors))
+
+
+def mixed_derivative(
+    flow: Flow, u: Float[Array, " d"], ways: Float[Array, "k d+q"], p: Parameters, names: tuple[str, ...]
+) -> Float[Array, " d"]:
+    """The derivative of the rates along k directions of coordinates and parameters, one after the other."""
+    rate, values = _rate_and_values(flow, u, 0.0, p, names)
+    for k in range(ways.shape[0]):
+        rate = _along(rate, ways[k, : len(u)], ways[k, len(u) :])
+    return rate(u, values)
+
+
+_Rate = Callable[[Array, Array], Array]
+
+
+def _along(rate: _Rate, way: Array, of_values: Array) -> _Rate:
+    """The derivative of a function of coordinates and parameters along a direction."""
+    return lambda u, values: jax.jvp(rate, (u, values), (way, of_values))[1]
+
+
+def _rate_and_values(
+    flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, names: tuple[str, ...]
+) -> tuple[_Rate, Float[Array, " q"]]:
+    """The rates as a function of coordinates and parameters by name, and the values of these."""
     chart = flow.chart
 
     def rate(u: Array, values: Array) -> Array:
@@ -20,5 +72,4 @@ def point_rates(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, 
         own = {**p, **{name: values[k] for k, name in enumerate(names)}}
         return jnp.stack(chart.lower(y, flow.rhs(t, y, own)))
 
-    values = jnp.stack([jnp.asarray(p[name], u.dtype) for name in names]) if names else jnp.zeros(0, u.dtype)
-    return FieldValues(rate(u, values), *jax.jacfwd(rate, (0, 1))(u, values))  # pyright: ignore[reportArgumentType]
+    return rate, jnp.stack([jnp.asarray(p[name], u.dtype) for name in names]) if names else jnp.zeros(0, u.dtype)

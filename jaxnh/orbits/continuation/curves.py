@@ -70,6 +70,7 @@ class Curve:
         track: solutions of `BifurcationEquations` there, unknowns in their units.
         multipliers: (k, d).
         ends: why it ends where it begins, and at its end, numbers in `paths.ENDS`.
+        equilibria: whether it is of equilibria; multipliers are then eigenvalues, and the period is 0.
     """
 
     kind: int
@@ -78,11 +79,12 @@ class Curve:
     track: Solution
     multipliers: Complex[np.ndarray, "k d"]
     ends: tuple[int, int]
+    equilibria: bool = False
 
     @property
     def period(self) -> int:
         """Points of an orbit."""
-        return self.points.shape[1]
+        return 0 if self.equilibria else self.points.shape[1]
 
     def part(self, points: slice) -> Curve:
         """Some points of the curve, one after the other."""
