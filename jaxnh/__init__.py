@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import CurvesOptions as Curves
     from jaxnh.analyses.options import DiagramOptions as Diagram
     from jaxnh.analyses.options import DoublingOptions as Doubling
+    from jaxnh.analyses.options import HomoclinicOptions as Homoclinic
     from jaxnh.analyses.options import LyapunovOptions as Lyapunov
     from jaxnh.analyses.options import ManifoldsOptions as Manifolds
     from jaxnh.analyses.options import OrbitsOptions as Orbits
@@ -128,6 +129,7 @@ __all__ = [
     "Doubling",
     "Experiment",
     "FreeParticle",
+    "Homoclinic",
     "InputError",
     "IsokineticParticle",
     "JaxStartedWarning",

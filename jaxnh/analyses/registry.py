@@ -4,7 +4,7 @@ from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.base import Analysis
 from jaxnh.analyses.basins import basins
 from jaxnh.analyses.cascade import doubling
-from jaxnh.analyses.continuation import branches, curves
+from jaxnh.analyses.continuation import branches, curves, homoclinic
 from jaxnh.analyses.covariant import covariant
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.manifolds import manifolds
@@ -39,6 +39,7 @@ _MODULES = (
     tori,
     transport,
     manifolds,
+    homoclinic,
 )
 
 ANALYSES: dict[str, Analysis] = {module.ANALYSIS.name: module.ANALYSIS for module in _MODULES}

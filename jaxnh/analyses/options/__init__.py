@@ -16,6 +16,7 @@ from jaxnh.analyses.options.orbits import (
     BranchesOptions,
     CurvesOptions,
     DoublingOptions,
+    HomoclinicOptions,
     ManifoldsOptions,
     OrbitsOptions,
     PeriodOptions,
@@ -51,6 +52,7 @@ OPTIONS: dict[str, type[Options]] = {
         ToriOptions,
         TransportOptions,
         ManifoldsOptions,
+        HomoclinicOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""
