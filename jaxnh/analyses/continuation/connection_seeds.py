@@ -8,6 +8,7 @@ sides there is one where it stays: the values are refined, and the path that com
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -20,13 +21,15 @@ from jaxnh.exceptions import InputError
 from jaxnh.maps.build import backward_parts, make_return_map
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.collocation.equations import BoundarySolution, Problem
-from jaxnh.orbits.collocation.homoclinic import SaddlePoint, saddle_at
+from jaxnh.orbits.collocation.homoclinic import SaddlePoint, saddles_at
 from jaxnh.orbits.collocation.paths import path_through
 from jaxnh.solvers import AdaptiveMethod
 
 _SAME = 1e-6  # sizes: equilibria this near are one
 _BEGUN = 1e-3  # sizes: where manifolds begin, on the eigenvector
-_FINER, _ROUNDS = 16, 4  # parts of an interval, and how often there are parts of parts
+_FINER, _ROUNDS = 16, 12  # parts of an interval, and how often there are parts of parts, at most
+_NEAR_ENOUGH = 0.02  # of the largest distance so far: a path this near is a guess
+_FARTHEST = 100.0  # sizes: paths further out leave all bounds
 _PASSED = 0.5  # of the largest distance so far: minima of it below are passages
 _NEAREST = 0.1  # likewise, after refinement: others pass no saddle
 _LOOKS, _STEPS_A_LOOK = 16, 4  # states a unit of time, at least, and steps between two of them
@@ -35,7 +38,8 @@ _SHARE = 0.1  # of the largest component of a direction, whose first component b
 _TILE = 32
 
 
-class Chain(NamedTuple):
+@dataclass
+class Chain:
     """One saddle over values of the first axis: by the number of the value."""
 
     saddles: dict[int, SaddlePoint]
@@ -93,13 +97,12 @@ class Shooting(NamedTuple):
     duration: float
     pulses: int
 
-    def saddle(self, guess: SaddlePoint | Float[np.ndarray, " d"], value: float) -> SaddlePoint | None:
-        """The saddle near one, or near a state; None where there is none."""
-        state = guess.state if isinstance(guess, SaddlePoint) else guess
+    def saddles(self, state: Float[np.ndarray, " d"], values: Float[np.ndarray, " k"]) -> list[SaddlePoint]:
+        """The saddle near a state at values of the first parameter; none where it is none at one of them."""
         try:
-            return saddle_at(self.problem, state, np.array([value, self.second]))
+            return saddles_at(self.problem, state, np.stack([values, np.full(len(values), self.second)], axis=1))
         except InputError:
-            return None
+            return []
 
 
 def saddle_chains(
@@ -107,21 +110,17 @@ def saddle_chains(
 ) -> list[Chain]:
     """All saddles over the values of the first axis, from equilibria that are known at each."""
     chains = list[Chain]()
-    for number, value in enumerate(values.tolist()):
+    for number, one in enumerate(values[:, None]):
         for chain in chains:
-            if number - 1 in chain.saddles and (saddle := shooting.saddle(chain.saddles[number - 1], value)):
-                chain.saddles[number] = saddle
+            if number - 1 in chain.saddles:
+                for saddle in shooting.saddles(chain.saddles[number - 1].state, one):
+                    chain.saddles[number] = saddle
         known = [chain.saddles[number].state for chain in chains if number in chain.saddles]
         for u in equilibria[number]:
-            saddle = shooting.saddle(u, value)
-            if saddle is None:
-                continue
-            gaps = [
-                np.abs(shooting.batch.chart.wrap(saddle.state - state) / shooting.problem.size).max() for state in known
-            ]
-            if min(gaps, default=np.inf) > _SAME:
-                chains.append(Chain({number: saddle}))
-                known.append(saddle.state)
+            gaps = [shooting.batch.chart.wrap(u - state) / shooting.problem.size for state in known]
+            if min((np.abs(gap).max() for gap in gaps), default=np.inf) > _SAME:
+                known.append(u)
+                chains += [Chain({number: saddle}) for saddle in shooting.saddles(u, one)]
     return chains
 
 
@@ -219,22 +218,27 @@ def _directions(
 def _passages(
     shooting: Shooting, manifold: Manifold, path: Float[np.ndarray, "count d"], saddle: SaddlePoint
 ) -> list[_Passage]:
-    """Where a path is nearest to a saddle in the coordinates of its eigenvectors, and on which side of it."""
-    finite = np.isfinite(path).all(axis=1)
-    path = path[: len(path) if finite.all() else int(np.argmin(finite))]
+    """Where a path is nearest to a saddle in the coordinates of its eigenvectors, and on which side of it.
+
+    A path that leaves all bounds is on a side there too, as far from the saddle as it has been.
+    """
     values, vectors = np.linalg.eig(saddle.jacobian)
     real = np.where(values.imag < 0.0, vectors.imag, vectors.real)
     leaving = int(np.argmin(values.real) if manifold.backward else np.argmax(values.real))
     gaps = shooting.batch.chart.wrap(path - saddle.state) / shooting.problem.size
-    shares = np.linalg.solve(real / np.linalg.norm(real, axis=0), gaps.T).T
+    with np.errstate(invalid="ignore", over="ignore"):
+        away = ~(np.abs(gaps).max(axis=1) <= _FARTHEST)
+    inside = int(np.argmax(away)) if away.any() else len(path)
+    shares = np.linalg.solve(real / np.linalg.norm(real, axis=0), gaps[:inside].T).T
     distance = np.linalg.norm(shares, axis=1)
     if len(distance) < 3:
         return []
-    least = (distance[1:-1] <= distance[:-2]) & (distance[1:-1] < distance[2:])
-    least &= distance[1:-1] < _PASSED * np.maximum.accumulate(distance)[1:-1]
-    places = (1 + np.flatnonzero(least))[: shooting.pulses]
     largest = np.maximum.accumulate(distance)
-    return [_Passage(int(k), float(np.sign(shares[k, leaving])), float(distance[k] / largest[k])) for k in places]
+    least = (distance[1:-1] <= distance[:-2]) & (distance[1:-1] < distance[2:])
+    least &= distance[1:-1] < _PASSED * largest[1:-1]
+    places = [*(1 + np.flatnonzero(least)).tolist(), *([inside - 1] if away.any() else [])]
+    sides = np.sign(shares[:, leaving])
+    return [_Passage(k, float(sides[k]), float(distance[k] / largest[k])) for k in places[: shooting.pulses]]
 
 
 def _first_difference(one: list[_Passage], other: list[_Passage]) -> int | None:
@@ -257,9 +261,8 @@ def _refined(
     best: tuple[float, Float[np.ndarray, "count d"], float, SaddlePoint, SaddlePoint] | None = None
     for _ in range(_ROUNDS):
         values = np.linspace(*ends, _FINER + 1)
-        both = [[shooting.saddle(saddle, value) for value in values.tolist()] for saddle in saddles]
-        starts, arrivals = ([saddle for saddle in side if saddle is not None] for side in both)
-        if len(starts) <= _FINER or len(arrivals) <= _FINER:
+        starts, arrivals = (shooting.saddles(saddle.state, values) for saddle in saddles)
+        if not (starts and arrivals):
             return None
         paths = _paths(shooting, manifold, starts, _directions(manifold, starts, direction), values)
         found = [_passages(shooting, manifold, path, at) for path, at in zip(paths, arrivals, strict=True)]
@@ -270,6 +273,8 @@ def _refined(
             passage = found[k][pulse]
             if best is None or passage.distance < best[0]:
                 best = passage.distance, paths[k, : passage.place + 1], float(values[k]), starts[k], arrivals[k]
+        if best is not None and best[0] <= _NEAR_ENOUGH:
+            break
         ends = float(values[changed[0]]), float(values[changed[0] + 1])
     if best is None or best[0] > _NEAREST:
         return None

@@ -25,7 +25,7 @@ _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and
 # On a section, whose returns are of many steps, arithmetic decides: of the flows in configs/flows eight lanes take the
 # time of four, and 32 take five to ten times as long (derivatives of peroxidase.yaml: 16, 17 and 172 ms).
 _ON_SECTION = 8
-_POINTS = 256  # of paths, a tile
+_POINTS, _FEW = 256, 8  # of paths and of equilibria, a tile
 
 
 def check_plane(what: str, setting: Setting) -> None:
@@ -112,9 +112,8 @@ def plane_problem(
         y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points 2"]
     ) -> FieldValues:
         p = {key: np.full(len(y), leaf[0]) for key, leaf in batch.p.items()} | dict(zip(names, values.T, strict=True))
-        return FieldValues(
-            *map(np.asarray, lanes(point_rates, (batch.flow,), (y, t, p), tile=_POINTS, static=(names,)))
-        )
+        tile = _POINTS if len(y) > _FEW else _FEW
+        return FieldValues(*map(np.asarray, lanes(point_rates, (batch.flow,), (y, t, p), tile=tile, static=(names,))))
 
     return Problem(field, size, widths, not batch.flow.autonomous)
 

@@ -178,18 +178,16 @@ def _locate(
 def _false_position(value: Callable[[float], float], ends: tuple[float, float]) -> float | None:
     """The share between 0 and 1 where a function is zero, with the Illinois rule; None where it has no value."""
     (low, high), (below, above) = (0.0, 1.0), ends
-    for count in range(_SECANTS):
-        share = 0.5 * (low + high) if count % 8 == 7 else (low * above - high * below) / (above - below)
+    for _ in range(_SECANTS):
+        share = (low * above - high * below) / (above - below)
         here = value(share)
         if not np.isfinite(here):
             return None
-        if here == 0.0 or high - low <= _KNOWN:
+        if here == 0.0 or abs(share - high) <= _KNOWN:
             return share
         if here * above < 0.0:
             low, below = high, above
         else:
             below *= 0.5
         high, above = share, here
-        if abs(high - low) <= _KNOWN:
-            break
     return high

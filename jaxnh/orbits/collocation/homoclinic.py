@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from scipy.linalg import expm, schur
+from scipy.linalg import schur
 
 from jaxnh.exceptions import InputError
 from jaxnh.orbits.collocation.equations import (
@@ -254,10 +254,11 @@ def _rest(
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k d"], Float[np.ndarray, "k-1 m d"]]:
     """Times, and states at these and between them, in an eigenspace of a saddle from an end near it."""
     basis = _eigenspace(saddle.jacobian, side)
-    inside = basis.T @ ((end - saddle.state) / problem.size)
+    rates, vectors = np.linalg.eig(basis.T @ saddle.jacobian @ basis)
+    shares = np.linalg.lstsq(vectors, basis.T @ ((end - saddle.state) / problem.size))[0]
 
     def states(times: np.ndarray) -> np.ndarray:
-        flow = expm(times[..., None, None] * (basis.T @ saddle.jacobian @ basis))
-        return saddle.state + problem.size * ((flow @ inside) @ basis.T)
+        inside = (shares * np.exp(times[..., None] * rates)) @ vectors.T
+        return saddle.state + problem.size * (inside.real @ basis.T)
 
     return times, states(times), states(times[:-1, None] + np.diff(times)[:, None] * gauss_rule(m).points)
