@@ -44,7 +44,12 @@ analyses:
   transients: {n_starts: 16, box: {x1: [-0.1, 0.1]}, max_periods: 16}
   manifolds: {n_starts: 2, box: {x1: [-0.1, 0.1]}, length: 0.1, kind: unstable}
 """
-OVER_TWO_AXES = {"curves": "bifurcation_curves", "codimension_two": "special_points"}
+OVER_TWO_AXES = {
+    "curves": "bifurcation_curves",
+    "codimension_two": "special_points",
+    "homoclinic": "bifurcation_curves",
+    "connecting_orbits": "",
+}
 """Groups of analyses that need two, and their panels."""
 B = (5.8, 2.5, 4.1, 5.3)
 

@@ -42,13 +42,13 @@ def check_plane(what: str, setting: Setting) -> None:
 
 
 def no_collocation(flow: Flow) -> str:
-    """Return why cycles of a flow are no smooth and isolated solutions of its field; "" where they are."""
+    """Return why cycles and equilibria of a system are no isolated solutions of a smooth field; "" where they are."""
     if not flow.continuous:
-        return "collocation follows cycles of flows, and this is a map"
+        return "collocation is of flows, and this is a map"
     if isinstance(flow, PiecewiseSmooth | SwitchedMechanics):
-        return "collocation follows smooth cycles, without jumps or switches"
+        return "collocation is of smooth motions, without jumps or switches"
     if flow.chart.dimension > flow.exponents:
-        return "cycles of a flow with constraints are not isolated"
+        return "cycles and equilibria of a flow with constraints are not isolated"
     return ""
 
 

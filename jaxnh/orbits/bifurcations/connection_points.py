@@ -17,9 +17,9 @@ from jaxnh.orbits.collocation.equations import Problem
 from jaxnh.orbits.collocation.homoclinic import SaddlePoint
 
 POINTS = (
-    "neutral_saddle", "neutral_saddle_focus", "double_real_stable", "double_real_unstable", "three_leading_stable",
-    "three_leading_unstable", "zero_divergence_stable", "zero_divergence_unstable", "orbit_flip_stable",
-    "orbit_flip_unstable",
+    "neutral_saddle", "neutral_saddle_focus", "neutral_bi_focus", "double_real_stable", "double_real_unstable",
+    "three_leading_stable", "three_leading_unstable", "neutrally_divergent_stable", "neutrally_divergent_unstable",
+    "orbit_flip_stable", "orbit_flip_unstable",
 )  # fmt: skip
 """Points of codimension two by number.
 
@@ -136,8 +136,12 @@ def _left_vector(saddle: SaddlePoint, side: int) -> Float[np.ndarray, " d"]:
 def _kind_of(test: tuple[int, int], point: Connection, jumps: bool) -> int:
     kind, side = test
     if kind == _SADDLE:
-        return POINTS.index("neutral_saddle_focus" if leading(point.departure).kind else "neutral_saddle")
-    words = {_DOUBLE: "three_leading" if jumps else "double_real", _DIVERGENCE: "zero_divergence", _FLIP: "orbit_flip"}
+        return POINTS.index(f"neutral_{TYPES[leading(point.departure).kind]}")
+    words = {
+        _DOUBLE: "three_leading" if jumps else "double_real",
+        _DIVERGENCE: "neutrally_divergent",
+        _FLIP: "orbit_flip",
+    }
     return POINTS.index(f"{words[kind]}_{('stable', 'unstable')[side]}")
 
 

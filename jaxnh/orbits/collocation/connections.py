@@ -204,7 +204,9 @@ def connection_near(
             return None
         both = values.copy()
         both[free] = solved.solution.values[0, 0]
-        return _adapted(problem, _again(problem, Connection(solved.solution._replace(values=both[None]), *saddles)))
+        return _adapted(
+            problem, _again(problem, Connection(solved.solution._replace(values=both[None]), *saddles)), held=1 - free
+        )
     except (InputError, np.linalg.LinAlgError):
         return None
 
@@ -231,8 +233,7 @@ def refined(problem: Problem, point: Connection) -> tuple[Connection, Float[np.n
         )
         if longer is None:
             return None
-        path = longer.solution.path
-        finer = _across(problem, longer, longer.solution._replace(path=on_mesh(path, halved(path.mesh))))
+        finer = _on_halves(problem, longer)
     except (InputError, np.linalg.LinAlgError):
         return None
     if finer is None:
@@ -319,17 +320,20 @@ def _reversed(stretch: Stretch) -> Stretch:
 # ---- meshes and rests
 
 
-def _adapted(problem: Problem, point: Connection, n: int | None = None) -> Connection:
-    """The orbit with rests as long as they must be, on a mesh adapted to it, as fine as its parameters need."""
+def _adapted(problem: Problem, point: Connection, n: int | None = None, held: int | None = None) -> Connection:
+    """The orbit with rests as long as they must be, on a mesh adapted to it, as fine as its parameters need.
+
+    Across the curve, or at the value of the parameter of a number that is held.
+    """
     n = point.solution.path.stages.shape[1] if n is None else n
     saddles = point.departure, point.arrival
     more = [_missing_rest(problem, point, k) for k in range(2)]
     solution = with_ends(problem, point.solution, *saddles, (more[0], more[1]))
     while True:
-        new = _across(problem, point, remeshed(problem, solution, n, cyclic=False))
+        new = _across(problem, point, remeshed(problem, solution, n, cyclic=False), held)
         if new is not None:
-            new = _across(problem, new, remeshed(problem, new.solution, n, cyclic=False)) or new
-            finer = _on_halves(problem, new)
+            new = _across(problem, new, remeshed(problem, new.solution, n, cyclic=False), held) or new
+            finer = _on_halves(problem, new, held)
             if finer is not None and np.all(np.abs(finer.values - new.values) <= _RESOLVED * problem.widths):
                 return new
         if 2 * n > _MOST:
@@ -337,9 +341,9 @@ def _adapted(problem: Problem, point: Connection, n: int | None = None) -> Conne
         n *= 2
 
 
-def _on_halves(problem: Problem, point: Connection) -> Connection | None:
+def _on_halves(problem: Problem, point: Connection, held: int | None = None) -> Connection | None:
     path = point.solution.path
-    return _across(problem, point, point.solution._replace(path=on_mesh(path, halved(path.mesh))))
+    return _across(problem, point, point.solution._replace(path=on_mesh(path, halved(path.mesh))), held)
 
 
 def _missing_rest(problem: Problem, point: Connection, end: int) -> float:
@@ -355,21 +359,23 @@ def _missing_rest(problem: Problem, point: Connection, end: int) -> float:
     return -float(times[beyond[0] - 1] if end == 0 else times[-1] - times[beyond[-1] + 1])
 
 
-def _across(problem: Problem, point: Connection, guess: BoundarySolution) -> Connection | None:
-    """The orbit near a guess whose parameters differ from those of a point across the curve."""
+def _across(problem: Problem, point: Connection, guess: BoundarySolution, held: int | None = None) -> Connection | None:
+    """The orbit near a guess whose parameters differ from those of a point across the curve, or one is as it is."""
     boundary = projections(problem, point.departure, point.arrival)
 
     def hold(line: NewtonSystem, lanes: np.ndarray) -> list[Variation]:
+        if held is not None:
+            return [fixed(line, -1), fixed(line, held)]
         line = orthonormal(guess.path, line)
-        way = direction_without(guess.path, line, [phase_condition(problem, line), fixed(line, -1)])
-        return [fixed(line, -1), way]
+        return [fixed(line, -1), direction_without(guess.path, line, [phase_condition(problem, line), fixed(line, -1)])]
 
     corrected = correct(problem, guess, boundary, hold)
     if not corrected.converged[0]:
         return None
-    found = corrected.solution
-    saddles = [saddle_at(problem, end.state, found.values[0]) for end in (point.departure, point.arrival)]
-    return Connection(found, saddles[0], saddles[1], float(corrected.residual[0]))
+    orbit = corrected.solution
+    if held is not None:
+        orbit.values[0, held] = guess.values[0, held]  # but for rounding
+    return _again(problem, Connection(orbit, point.departure, point.arrival, float(corrected.residual[0])))
 
 
 def _again(problem: Problem, point: Connection) -> Connection:
