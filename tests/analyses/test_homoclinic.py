@@ -101,26 +101,6 @@ def test_a_saddle_focus(tmp_path):
             assert abs(connections.located(side, a - 1e-4, a + 1e-4, 36) - a) <= 20.0 * error.sum() + 1e-10
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("uncalibrated")
-def test_travelling_pulses(tmp_path):
-    """The fast and the slow pulse of FitzHugh's and Nagumo's equations on one curve, with its turn, by shooting."""
-    options = (
-        "{box: {u: [-0.2, 0.2], v: [-0.2, 0.2], w: [-0.2, 0.2]}, n_starts: 8, n_values: 2, duration: 100, ds_max: 0.1}"
-    )
-    sweep = "{c: {start: 0.1, stop: 0.7, count: 13}, a: {values: [0.05, 0.1]}}"
-    data = result_of(tmp_path, connections.fitzhugh, "{u: 0.5, v: 0.1}", sweep, options)["homoclinic"].to_dataset()
-    assert data.sizes["curve"] >= 1
-    values, errors = points(data, 0, ("c", "a"))
-    for (c, a), error in list(zip(values, errors, strict=True))[::6]:
-
-        def side(value, a=a):
-            rhs = connections.fitzhugh(value, a, 0.005)["rhs"]
-            return connections.side(rhs, [[0, 1, 0], [a, value, 1], [0.005 / value, 0, 0]], 150.0)
-
-        assert abs(connections.located(side, c - 1e-4, c + 1e-4, 36) - c) <= 20.0 * error.sum() + 1e-10
-
-
 @pytest.mark.parametrize(
     ("sweep", "options", "message"),
     [

@@ -13,6 +13,7 @@ EXAMPLES = {example.name: example for example in newcomer.examples()}
 WITHOUT = {
     "config.md",
     "covariant.md",
+    "homoclinic.md",
     "manifolds.md",
     "orbits.md",
     "reversal.md",

@@ -30,8 +30,12 @@ _BEGUN = 1e-3  # sizes: where manifolds begin, on the eigenvector
 _FINER, _ROUNDS = 16, 12  # parts of an interval, and how often there are parts of parts, at most
 _NEAR_ENOUGH = 0.02  # of the largest distance so far: a path this near is a guess
 _FARTHEST = 100.0  # sizes: paths further out leave all bounds
-_PASSED = 0.5  # of the largest distance so far: minima of it below are passages
-_NEAREST = 0.1  # likewise, after refinement: others pass no saddle
+_PASSED = (
+    0.5,
+    0.15,
+)  # of the largest distance so far: minima of it below are passages; far from a saddle some are none
+_LEAVES = 0.5  # of the distance beyond all bounds that is along the direction of the side, at least
+_NEAREST = 0.1  # of the largest distance so far, after refinement: others pass no saddle
 _LOOKS, _STEPS_A_LOOK = 16, 4  # states a unit of time, at least, and steps between two of them
 _INTERVALS = 60
 _SHARE = 0.1  # of the largest component of a direction, whose first component beyond has the sign of its side
@@ -70,6 +74,24 @@ class Manifold(NamedTuple):
     chain: Chain
     backward: bool
     sign: int
+
+
+class Bracket(NamedTuple):
+    """Two values of the first parameter at which a manifold passes a saddle on different sides.
+
+    Attributes:
+        saddles: that of the manifold and the one passed, at the first value.
+        direction: of the manifold there.
+        ends: the values.
+        pulse: number of the passage.
+        passed: part of the largest distance so far, below which a passage is one.
+    """
+
+    saddles: tuple[SaddlePoint, SaddlePoint]
+    direction: Float[np.ndarray, " d"]
+    ends: tuple[float, float]
+    pulse: int
+    passed: float
 
 
 class _Passage(NamedTuple):
@@ -135,18 +157,19 @@ def connection_seeds(
         paths = _paths(shooting, manifold, starts, directions, values[numbers])
         for other in chains:
             ends = [other.saddles.get(number) for number in numbers]
-            passages = [
-                _passages(shooting, manifold, path, end) if end is not None and _fits(start, end) else []
-                for path, start, end in zip(paths, starts, ends, strict=True)
-            ]
-            for k in range(len(numbers) - 1):
-                pulse = _first_difference(passages[k], passages[k + 1])
-                end = ends[k]
-                if pulse is not None and end is not None and numbers[k + 1] == numbers[k] + 1:
-                    low, high = values[[numbers[k], numbers[k + 1]]].tolist()
-                    seed = _refined(shooting, manifold, (starts[k], end), directions[k], (low, high), pulse)
-                    if seed is not None:
-                        yield seed
+            for passed in _PASSED:
+                passages = [
+                    _passages(shooting, manifold, path, end, passed) if end is not None and _fits(start, end) else []
+                    for path, start, end in zip(paths, starts, ends, strict=True)
+                ]
+                for k in range(len(numbers) - 1):
+                    pulse, end = _first_difference(passages[k], passages[k + 1]), ends[k]
+                    if pulse is not None and end is not None and numbers[k + 1] == numbers[k] + 1:
+                        low, high = values[[numbers[k], numbers[k + 1]]].tolist()
+                        bracket = Bracket((starts[k], end), directions[k], (low, high), pulse, passed)
+                        seed = _refined(shooting, manifold, bracket)
+                        if seed is not None:
+                            yield seed
 
 
 def _manifolds(shooting: Shooting, chains: list[Chain]) -> Iterator[Manifold]:
@@ -216,7 +239,7 @@ def _directions(
 
 
 def _passages(
-    shooting: Shooting, manifold: Manifold, path: Float[np.ndarray, "count d"], saddle: SaddlePoint
+    shooting: Shooting, manifold: Manifold, path: Float[np.ndarray, "count d"], saddle: SaddlePoint, passed: float
 ) -> list[_Passage]:
     """Where a path is nearest to a saddle in the coordinates of its eigenvectors, and on which side of it.
 
@@ -235,9 +258,11 @@ def _passages(
         return []
     largest = np.maximum.accumulate(distance)
     least = (distance[1:-1] <= distance[:-2]) & (distance[1:-1] < distance[2:])
-    least &= distance[1:-1] < _PASSED * largest[1:-1]
+    least &= distance[1:-1] < passed * largest[1:-1]
     places = [*(1 + np.flatnonzero(least)).tolist(), *([inside - 1] if away.any() else [])]
     sides = np.sign(shares[:, leaving])
+    if away.any() and abs(shares[-1, leaving]) < _LEAVES * distance[-1]:
+        sides[-1] = 0.0  # on none
     return [_Passage(k, float(sides[k]), float(distance[k] / largest[k])) for k in places[: shooting.pulses]]
 
 
@@ -245,19 +270,13 @@ def _first_difference(one: list[_Passage], other: list[_Passage]) -> int | None:
     """Number of the first passage that is on different sides, None where there is none."""
     for k, (a, b) in enumerate(zip(one, other, strict=False)):
         if a.side != b.side:
-            return k
+            return k if a.side * b.side else None
     return None
 
 
-def _refined(
-    shooting: Shooting,
-    manifold: Manifold,
-    saddles: tuple[SaddlePoint, SaddlePoint],
-    direction: Float[np.ndarray, " d"],
-    ends: tuple[float, float],
-    pulse: int,
-) -> ConnectionSeed | None:
+def _refined(shooting: Shooting, manifold: Manifold, bracket: Bracket) -> ConnectionSeed | None:
     """The path that comes nearest to the saddle between two values, None where it does not come near."""
+    saddles, direction, ends, pulse, passed = bracket
     best: tuple[float, Float[np.ndarray, "count d"], float, SaddlePoint, SaddlePoint] | None = None
     for _ in range(_ROUNDS):
         values = np.linspace(*ends, _FINER + 1)
@@ -265,7 +284,7 @@ def _refined(
         if not (starts and arrivals):
             return None
         paths = _paths(shooting, manifold, starts, _directions(manifold, starts, direction), values)
-        found = [_passages(shooting, manifold, path, at) for path, at in zip(paths, arrivals, strict=True)]
+        found = [_passages(shooting, manifold, path, at, passed) for path, at in zip(paths, arrivals, strict=True)]
         changed = [k for k in range(_FINER) if _first_difference(found[k], found[k + 1]) == pulse]
         if not changed:
             break
