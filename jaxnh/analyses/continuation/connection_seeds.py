@@ -225,7 +225,8 @@ def _directions(
     directions = list[np.ndarray]()
     for start in starts:
         values, vectors = np.linalg.eig(start.jacobian)
-        vector = vectors[:, np.argmin(values.real) if manifold.backward else np.argmax(values.real)].real
+        rates = np.real(values)
+        vector = np.real(vectors[:, np.argmin(rates) if manifold.backward else np.argmax(rates)])
         vector = vector / np.linalg.norm(vector)
         before = directions[-1] if directions else first
         if before is None:
@@ -246,8 +247,9 @@ def _passages(
     A path that leaves all bounds is on a side there too, as far from the saddle as it has been.
     """
     values, vectors = np.linalg.eig(saddle.jacobian)
-    real = np.where(values.imag < 0.0, vectors.imag, vectors.real)
-    leaving = int(np.argmin(values.real) if manifold.backward else np.argmax(values.real))
+    real = np.where(np.imag(values) < 0.0, np.imag(vectors), np.real(vectors))
+    rates = np.real(values)
+    leaving = int(np.argmin(rates) if manifold.backward else np.argmax(rates))
     gaps = shooting.batch.chart.wrap(path - saddle.state) / shooting.problem.size
     with np.errstate(invalid="ignore", over="ignore"):
         away = ~(np.abs(gaps).max(axis=1) <= _FARTHEST)

@@ -217,7 +217,7 @@ def _dataset(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[FollowedCo
     """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
     shape, d = (len(curves), max((len(curve.points) for curve in curves), default=0)), batch.chart.dimension
 
-    def table(numbers: Sequence[Sequence[np.ndarray]], *more: int, fill: float = np.nan) -> np.ndarray:
+    def table(numbers: Sequence[Sequence[np.ndarray] | np.ndarray], *more: int, fill: float = np.nan) -> np.ndarray:
         filled = np.full((*shape, *more), fill)
         for k, one in enumerate(numbers):
             filled[k, : len(one)] = np.reshape(one, (len(one), *more))

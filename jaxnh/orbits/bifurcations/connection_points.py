@@ -81,7 +81,8 @@ class Leading(NamedTuple):
 def leading(saddle: SaddlePoint) -> Leading:
     """The eigenvalues of a saddle by sides, leading ones first."""
     values = saddle.eigenvalues
-    return Leading(values[values.real < 0.0], values[values.real > 0.0][::-1])
+    real = np.real(values)
+    return Leading(values[real < 0.0], values[real > 0.0][::-1])
 
 
 def special_connections(problem: Problem, curve: ConnectionCurve) -> list[tuple[int, SpecialConnection]]:
@@ -129,7 +130,7 @@ def _test(test: tuple[int, int], point: Connection, reference: Connection) -> fl
 def _left_vector(saddle: SaddlePoint, side: int) -> Float[np.ndarray, " d"]:
     """The left eigenvector of the leading eigenvalue of a side, of length one."""
     values, vectors = np.linalg.eig(saddle.jacobian.T)
-    vector = vectors[:, np.argmin(np.abs(values - leading(saddle)[side][0]))].real
+    vector = np.real(vectors[:, np.argmin(np.abs(values - leading(saddle)[side][0]))])
     return vector / np.linalg.norm(vector)
 
 

@@ -195,7 +195,7 @@ def connection_near(
     values = guess.values[0]
     one = _of_one_parameter(problem, values, free)
     try:
-        saddles = tuple(saddle_at(problem, state, values) for state in (departure, arrival))
+        saddles = saddle_at(problem, departure, values), saddle_at(problem, arrival, values)
         if len(saddles[0].unstable) != len(saddles[1].unstable):
             return None
         first = guess._replace(values=values[None, free : free + 1])
@@ -325,20 +325,20 @@ def _adapted(problem: Problem, point: Connection, n: int | None = None, held: in
 
     Across the curve, or at the value of the parameter of a number that is held.
     """
-    n = point.solution.path.stages.shape[1] if n is None else n
+    intervals = point.solution.path.stages.shape[1] if n is None else n
     saddles = point.departure, point.arrival
     more = [_missing_rest(problem, point, k) for k in range(2)]
     solution = with_ends(problem, point.solution, *saddles, (more[0], more[1]))
     while True:
-        new = _across(problem, point, remeshed(problem, solution, n, cyclic=False), held)
+        new = _across(problem, point, remeshed(problem, solution, intervals, cyclic=False), held)
         if new is not None:
-            new = _across(problem, new, remeshed(problem, new.solution, n, cyclic=False), held) or new
+            new = _across(problem, new, remeshed(problem, new.solution, intervals, cyclic=False), held) or new
             finer = _on_halves(problem, new, held)
             if finer is not None and np.all(np.abs(finer.values - new.values) <= _RESOLVED * problem.widths):
                 return new
-        if 2 * n > _MOST:
+        if 2 * intervals > _MOST:
             return new or point
-        n *= 2
+        intervals *= 2
 
 
 def _on_halves(problem: Problem, point: Connection, held: int | None = None) -> Connection | None:
@@ -349,7 +349,7 @@ def _on_halves(problem: Problem, point: Connection, held: int | None = None) -> 
 def _missing_rest(problem: Problem, point: Connection, end: int) -> float:
     """The time by which an end is to be later (or earlier) so that it is as near to its saddle as is asked for."""
     saddle, path = (point.departure, point.arrival)[end], point.solution.path
-    real = saddle.eigenvalues.real
+    real = np.real(saddle.eigenvalues)
     rate = real[real > 0.0].min() if end == 0 else -real[real < 0.0].max()
     away = np.linalg.norm((path.ends[0] - saddle.state) / problem.size, axis=1)
     if away[-end] >= _NEAR:

@@ -94,7 +94,7 @@ def saddles_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[n
 
 def _saddle(state: Float[np.ndarray, " d"], jacobian: Float[np.ndarray, "d d"]) -> SaddlePoint:
     eigenvalues = np.linalg.eigvals(jacobian).astype(complex)
-    eigenvalues = eigenvalues[np.lexsort((eigenvalues.imag, -eigenvalues.real))]
+    eigenvalues = eigenvalues[np.lexsort((np.imag(eigenvalues), -np.real(eigenvalues)))]
     stable, unstable = (_eigenspace(jacobian.T, side).T for side in ("lhp", "rhp"))
     if not 0 < len(stable) < len(state) or len(stable) + len(unstable) != len(state):
         raise InputError(f"the equilibrium {state.tolist()} is no saddle, its eigenvalues are {eigenvalues.tolist()}")
