@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import DiagramOptions as Diagram
     from jaxnh.analyses.options import DoublingOptions as Doubling
     from jaxnh.analyses.options import EdgesOptions as Edges
+    from jaxnh.analyses.options import HomoclinicOptions as Homoclinic
     from jaxnh.analyses.options import LyapunovOptions as Lyapunov
     from jaxnh.analyses.options import ManifoldsOptions as Manifolds
     from jaxnh.analyses.options import OrbitsOptions as Orbits
@@ -130,6 +131,7 @@ __all__ = [
     "Edges",
     "Experiment",
     "FreeParticle",
+    "Homoclinic",
     "InputError",
     "IsokineticParticle",
     "JaxStartedWarning",

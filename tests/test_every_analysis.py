@@ -47,6 +47,7 @@ OPTIONS = {
     "windows": {"max_period": 2, "levels": 1, "crisis": 0, "transient": 64},
     "branches": {"max_period": 2, "transient": 64},
     "curves": {"max_period": 2, "transient": 64},
+    "homoclinic": {"box": {"u": (-1.0, 1.0)}},
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
     "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256},
@@ -476,6 +477,10 @@ def no_edges(attractors, word):
 
 WITHOUT_SECTION = "the system has no period, and {} looks at it on a section"
 NO_REVERSAL = "no change of signs is a reversal"
+NO_EQUILIBRIA = "a flow with a clock has no equilibria, which homoclinic orbits connect"
+SADDLES_OVER_ONE = "homoclinic orbits are followed over two axes, and the sweep has {}"
+NOT_ISOLATED = "cycles and equilibria of a flow with constraints are not isolated"
+NOT_SMOOTH = "collocation is of smooth motions, without jumps or switches"
 ONE_PARAMETER = "curves are followed over two axes, and the sweep has {}"
 MU = "mu: {start: -0.28, stop: 0.28, count: 8}"
 STEPS = "accuracy: {solver: tsit5, steps: 80}"
@@ -527,6 +532,7 @@ MOEBIUS = {
     "windows": one_window("mu", "period_doubling", zero),
     "branches": branches([1, 2], "mu", zero),
     "curves": ONE_PARAMETER.format("mu"),
+    "homoclinic": NO_EQUILIBRIA,
     "basins": one_attractor,
     "reversal": NO_REVERSAL,
     "orbits": orbit_numbers(lambda values: (1, beyond(values) > 0)),
@@ -581,6 +587,7 @@ def particle(names, rates=paper_equations.at_speed):
         "windows": one_window("b", "period_doubling", first_doubling),
         "branches": branches([1, 2], "b", first_doubling),
         "curves": ONE_PARAMETER.format("b"),
+        "homoclinic": NO_EQUILIBRIA,
         "basins": one_attractor,
         "reversal": repellers("dissipative"),
         "orbits": orbits_beside(lambda values: (1, values["b"] < first_doubling())),
@@ -603,6 +610,7 @@ KINDS = {
         MOEBIUS
         | dict.fromkeys(("poincare", "diagram"), iterates_of(cubic, ("u", "v")))
         | {
+            "homoclinic": "collocation is of flows, and this is a map",
             "portrait": "a map has nothing between its iterates",
             "reversal": "a map is not followed backwards",
             "lyapunov": exponents(cubic_exponents),
@@ -626,7 +634,7 @@ KINDS = {
         | dict.fromkeys(
             ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)
         )
-        | {"reversal": "motions with jumps or switches are not followed backwards"},
+        | {"reversal": "motions with jumps or switches are not followed backwards", "homoclinic": NOT_SMOOTH},
         moebius.MOEBIUS_WITH_JUMPS,
         UNSTABLE_ALONE,
     ),
@@ -675,12 +683,15 @@ KINDS = {
             "windows": "u is a coordinate of the start state",
             "branches": "u is a coordinate of the start state",
             "curves": ONE_PARAMETER.format("u"),
+            "homoclinic": NO_EQUILIBRIA,
         },
         moebius.MOEBIUS,
     ),
     "a right-hand side on a section": Kind(
         SPACE + SECTION,
-        MOEBIUS | IN_SPACE | {"verdict": words("limit_cycle"), "basins": one_attractor},
+        MOEBIUS
+        | IN_SPACE
+        | {"verdict": words("limit_cycle"), "basins": one_attractor, "homoclinic": SADDLES_OVER_ONE.format("mu")},
         moebius.MOEBIUS_IN_SPACE,
         starts_between("x", 1.2, 1.4),
     ),
@@ -695,6 +706,7 @@ KINDS = {
             ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)
         )
         | {
+            "homoclinic": NOT_SMOOTH,
             "verdict": words("limit_cycle"),
             "reversal": "motions with jumps or switches are not followed backwards",
             "manifolds": "motions with jumps or switches are not followed backwards; stable manifolds need that",
@@ -706,7 +718,7 @@ KINDS = {
         {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
         | {"verdict": WITHOUT_SECTION.format("period")}
         | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
-        | {"transport": stays, "edges": no_edges(1, "one_attractor")},
+        | {"transport": stays, "edges": no_edges(1, "one_attractor"), "homoclinic": SADDLES_OVER_ONE.format("mu")},
         moebius.MOEBIUS_IN_SPACE,
         starts_between("x", 1.2, 1.4),
     ),
@@ -725,6 +737,7 @@ KINDS = {
             "windows": one_window("damping", "range", None),
             "branches": branches([1], "damping"),
             "curves": ONE_PARAMETER.format("damping"),
+            "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
@@ -742,7 +755,7 @@ KINDS = {
     "T, Q, f with a constraint that is projected": Kind(
         "system: {file: FILE}\ninitial: {x: 0.1, x_dot: 0.1, y: 0.1, y_dot: 0.99498743710662}\n"
         "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: tsit5, steps: 400}",
-        particle(("x", "y", "x_dot", "y_dot")),
+        particle(("x", "y", "x_dot", "y_dot")) | {"homoclinic": NOT_ISOLATED},
         paper_equations.PARTICLE,
         starts_between("x", 0.0, 0.2),
     ),
@@ -761,6 +774,7 @@ KINDS = {
             "windows": one_window("damping", "range", None),
             "branches": branches([1], "damping"),
             "curves": ONE_PARAMETER.format("damping"),
+            "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": "no reversal is known of quasi-velocities",
             "orbits": orbit_numbers(lambda values: (1, 0 * values["damping"])),
@@ -780,6 +794,7 @@ KINDS = {
         MOEBIUS
         | dict.fromkeys(("portrait", "poincare", "diagram"), clamped_follows)
         | {
+            "homoclinic": NOT_SMOOTH,
             "lyapunov": clamped_exponents,
             "covariant": words("regular", "undecided"),
             "reversal": "motions with jumps or switches are not followed backwards",
@@ -803,6 +818,7 @@ KINDS = {
             "windows": one_window("mu", "range", None),
             "branches": branches([1], "mu"),
             "curves": ONE_PARAMETER.format("mu"),
+            "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
@@ -835,6 +851,7 @@ KINDS = {
             "windows": one_window("b", "range", None),
             "branches": branches([1], "b"),
             "curves": ONE_PARAMETER.format("b"),
+            "homoclinic": NO_EQUILIBRIA,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * next(iter(values.values())))),
@@ -867,6 +884,7 @@ KINDS = {
             "windows": no_row,
             "branches": no_row,
             "curves": ONE_PARAMETER.format("b"),
+            "homoclinic": SADDLES_OVER_ONE.format("b"),
             "basins": nothing_periodic,
             "reversal": repellers("conservative", "undecided"),
             "orbits": orbits_beside(lambda values: (0, 0 * values["b"])),

@@ -28,6 +28,7 @@ _HOMES = {
     "tori": "tori.tori",
     "transport": "transport.transport",
     "manifolds": "manifolds.manifolds",
+    "homoclinic": "continuation.homoclinic",
     "edges": "edges.edges",
 }
 

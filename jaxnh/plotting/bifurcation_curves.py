@@ -1,4 +1,4 @@
-"""Curves of bifurcations over two parameters, a colour a kind, with their points of codimension two named."""
+"""Curves of bifurcations and of homoclinic orbits over two parameters, with their points of codimension two named."""
 
 from __future__ import annotations
 
@@ -28,6 +28,17 @@ _SHORT = {
     "generalised hopf": "GH",
     "zero hopf": "ZH",
     "double hopf": "HH",
+    "neutral saddle": "NSS",
+    "neutral saddle focus": "NSF",
+    "neutral bi focus": "NFF",
+    "double real stable": "DRS",
+    "double real unstable": "DRU",
+    "three leading stable": "TLS",
+    "three leading unstable": "TLU",
+    "neutrally divergent stable": "NDS",
+    "neutrally divergent unstable": "NDU",
+    "orbit flip stable": "OFS",
+    "orbit flip unstable": "OFU",
 }
 
 
@@ -35,7 +46,8 @@ def bifurcation_curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Both parameters of all curves: a colour a kind, a dash a period; points of codimension two are dots with names.
 
     Args:
-        data: two parameters (curve, point), `kind` and `period` of each curve, and those of points `codimension_two`.
+        data: two parameters (curve, point), `kind` and, of cycles, `period` of each curve, and those of points
+            `codimension_two`.
 
     Raises:
         ResultError: a variable is missing.
@@ -58,14 +70,15 @@ def draw_curves(data: xr.Dataset, ax: Axes, background: bool = False) -> None:
         ResultError: a variable is missing.
     """
     across, up = variables_of(data)[:2]
-    kind, period = require_variables(data, "kind", "period")
+    [kind] = require_variables(data, "kind")
+    period = data["period"].to_numpy() if "period" in data else np.zeros(data.sizes["curve"], int)  # of cycles alone
     named = meanings(kind)
-    order, periods = list(named), np.unique(period.to_numpy()).tolist()
+    order, periods = list(named), np.unique(period).tolist()
     seen: set[tuple[int, int]] = set()
     for k in range(data.sizes["curve"]):
         what, n = int(kind[k]), int(period[k])
-        orbit = f"period {n}" if n else "equilibria"
-        words = f"{named[what][0]}, {orbit}" if (what, n) not in seen else None
+        of_orbits = (f", period {n}" if n else ", equilibria") if "period" in data else ""
+        words = f"{named[what][0]}{of_orbits}" if (what, n) not in seen else None
         seen.add((what, n))
         x, y = across.isel(curve=k).to_numpy(), up.isel(curve=k).to_numpy()
         dash = _DASHES[periods.index(n) % len(_DASHES)]

@@ -159,6 +159,11 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("criticality",),
         lambda data: _of_orbits(data, "marks", _with_errors(data, "bifurcation"), "bifurcation"),
     ),
+    "homoclinic": (
+        ("saddle_quantity", "begins"),
+        lambda data: _of_curves(data, "bifurcation_curves", "curve", "point"),
+    ),
+    "connecting_orbits": (("sample", "point"), None),
     "curves": (("begins", "codimension_two"), lambda data: _of_curves(data, "bifurcation_curves", "curve", "point")),
     "codimension_two": (("codimension_two",), lambda data: _of_curves(data, "special_points", "codimension_two")),
     "attractors": (("fraction",), lambda _: _Description("shares", ("fraction",), ("attractor",))),

@@ -25,7 +25,7 @@ from tests.helpers.batches import batch_of
 START = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
 B = np.linspace(5.6, 5.4, 64)
 STEPS = SPLITTINGS["blanes_moan6"], 60
-IN_A_BOX = ("transients", "manifolds")  # whose starts need one
+IN_A_BOX = ("transients", "manifolds", "homoclinic")  # whose starts need one
 
 
 def own(scene, **p):
@@ -185,7 +185,7 @@ def test_what_a_section_has_no_place_for(name, options, key):
 
 
 def test_defaults_go_with_everything_along_a_parameter():
-    """No default is refused, but that transients and manifolds name no box, and transport nothing to follow.
+    """No default is refused, but that those with random starts name no box, and transport nothing to follow.
 
     Three exponents are cut down to those that there are.
     """

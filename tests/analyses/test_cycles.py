@@ -161,5 +161,5 @@ def test_what_collocation_does_not_follow_is_said(tmp_path):
         "system: {file: flow.py}\ninitial: {x: 0.4}\nsweep: {r: {start: 2.9, stop: 3.1, count: 4}}\n"
         "analyses: {branches: {method: collocation}}\n"
     )
-    with pytest.raises(ConfigError, match=r"method: collocation follows cycles of flows.*; take method: shooting"):
+    with pytest.raises(ConfigError, match=r"method: collocation is of flows.*; take method: shooting"):
         jaxnh.load(tmp_path / "flow.yaml")

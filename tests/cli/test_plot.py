@@ -46,7 +46,12 @@ analyses:
   transport: {transient: 1, periods: 256, path: [x1]}
   edges: {n_starts: 4, box: {x1: [-0.1, 0.1]}, transient: 32, pairs: 1, directions: 4, shock_points: 1, reach: 0.1}
 """
-OVER_TWO_AXES = {"curves": "bifurcation_curves", "codimension_two": "special_points"}
+OVER_TWO_AXES = {
+    "curves": "bifurcation_curves",
+    "codimension_two": "special_points",
+    "homoclinic": "bifurcation_curves",
+    "connecting_orbits": "",
+}
 """Groups of analyses that need two, and their panels."""
 B = (5.8, 2.5, 4.1, 5.3)
 

@@ -14,6 +14,7 @@ WITHOUT = {
     "config.md",
     "covariant.md",
     "edges.md",
+    "homoclinic.md",
     "manifolds.md",
     "orbits.md",
     "reversal.md",

@@ -29,7 +29,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.cycle_points import durations, tree_of_cycles
 from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import check_equilibria, cycles_at_hopf_points, equilibria
-from jaxnh.analyses.continuation.families import orbit_family, step_control
+from jaxnh.analyses.continuation.families import no_collocation, orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
@@ -40,8 +40,6 @@ from jaxnh.analyses.random_starts import check_box
 from jaxnh.maps.section import Section
 from jaxnh.orbits.continuation.paths import NO_CONVERGENCE, NO_RETURN
 from jaxnh.systems.flow import Flow
-from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
-from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
 _WORK = 3.0  # of a run, in those of settling: a guess
 
@@ -77,25 +75,14 @@ def check(options: BranchesOptions, setting: Setting) -> None:
         check_box(options.box, setting, "box")
     if options.equilibria:
         check_equilibria(setting)
-    if options.method == "collocation" and (why := _no_collocation(setting.flow)):
+    if options.method == "collocation" and (why := no_collocation(setting.flow)):
         raise OptionError(f"{why}; take method: shooting", "method")
-
-
-def _no_collocation(flow: Flow) -> str:
-    """Return why cycles of a flow are no smooth and isolated solutions of its field; "" where they are."""
-    if not flow.continuous:
-        return "collocation follows cycles of flows, and this is a map"
-    if isinstance(flow, PiecewiseSmooth | SwitchedMechanics):
-        return "collocation follows smooth cycles, without jumps or switches"
-    if flow.chart.dimension > flow.exponents:
-        return "cycles of a flow with constraints are not isolated"
-    return ""
 
 
 def _needs_collocation(flow: Flow, tree: Tree) -> bool:
     """Return whether shooting has lost a branch of a flow without a clock, whose returns expand too much."""
     lost = any({NO_CONVERGENCE, NO_RETURN} & {*branch.ends} for branch in tree.branches)
-    return lost and flow.autonomous and not _no_collocation(flow)
+    return lost and flow.autonomous and not no_collocation(flow)
 
 
 def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:

@@ -31,7 +31,7 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.cycle_curves import cycle_seeds
 from jaxnh.analyses.continuation.equilibria import check_equilibria, section_plane
 from jaxnh.analyses.continuation.equilibrium_curves import EquilibriumCurves, equilibrium_curves, rounding_errors
-from jaxnh.analyses.continuation.families import orbit_family, parameter_plane, step_control
+from jaxnh.analyses.continuation.families import check_plane, orbit_family, parameter_plane, step_control
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import CurvesOptions
@@ -94,15 +94,8 @@ def numbers(options: CurvesOptions) -> int:
 
 def check(options: CurvesOptions, setting: Setting) -> None:
     """Check that there are two axes, parameters that lanes may differ in, of more than one value each."""
+    check_plane("curves", setting)
     names = [axis.name for axis in setting.axes]
-    if len(names) != 2:
-        raise OptionError(f"curves are followed over two axes, and the sweep has {' and '.join(names)}")
-    for axis in setting.axes:
-        if axis.kind != "lane":
-            what = "a coordinate of the start state" if axis.kind == "start" else "what all lanes of a program share"
-            raise OptionError(f"curves are followed over two parameters, and {axis.name} is {what}")
-        if len(np.unique(axis.values)) < 2:
-            raise OptionError(f"curves are followed over a range of {axis.name}, and the sweep has one value of it")
     own = {*_OWN_NAMES, *(f"{name}_error" for name in names)}
     own |= {f"codimension_two_{name}{rest}" for name in names for rest in ("", "_error")}
     if options.equilibria:

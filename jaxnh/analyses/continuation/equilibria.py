@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxnh.analyses.base import OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
@@ -57,21 +58,33 @@ def equilibria(
         stage: shows what is done inside, by its label.
     """
     still = replace(batch.without_section(), axis=batch.first_axis)
-    many, _ = random_start_batch(still, starts, seed, box)
-    u, values = many.system.chart.host_points(many.start), np.repeat(batch.first_axis.values, starts)
-    size = np.ptp(u, axis=0) / 2.0
-    size = np.where(size > 0.0, size, size.max())
     with stage(f"equilibria from {starts} points at {batch.count} values of {batch.first_axis.name}"):
-        zeros = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
-    with np.errstate(invalid="ignore"):
-        near = zeros.exists & np.all(np.abs(zeros.u) < _FARTHEST * size, axis=1)
+        u, values, size = equilibria_in_a_box(still, lanes, starts, seed, box)
     waves = [
-        [SeedOrbit(zeros.u[k : k + 1], value) for k in np.flatnonzero(near & (values == value))]
+        [SeedOrbit(u[k : k + 1], value) for k in np.flatnonzero(values == value)]
         for value in np.unique(values).tolist()
     ]
     family = equilibrium_family(batch, lanes, size, ends)
     tree = grow([family] * 3, waves, 1, steps, stage)  # a field has no steps that could be refined
     return FollowedBranches(tree, family, still)
+
+
+def equilibria_in_a_box(
+    still: LaneBatch, lanes: LaneRunner, starts: int, seed: int, box: Box
+) -> tuple[Float[np.ndarray, "some d"], Float[np.ndarray, " some"], Float[np.ndarray, " d"]]:
+    """What Newton finds from random points at each lane of a batch without a section, along the first axis.
+
+    Returns:
+        Equilibria, many of them again and again; their values of the parameter; and the sizes of the box.
+    """
+    many, _ = random_start_batch(still, starts, seed, box)
+    u, values = many.system.chart.host_points(many.start), np.repeat(still.first_axis.values, starts)
+    size = np.ptp(u, axis=0) / 2.0
+    size = np.where(size > 0.0, size, size.max())
+    zeros = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
+    with np.errstate(invalid="ignore"):
+        near = zeros.exists & np.all(np.abs(zeros.u) < _FARTHEST * size, axis=1)
+    return zeros.u[near], values[near], size
 
 
 def cycles_at_hopf_points(followed: FollowedBranches, family: Family, section: Section) -> list[SeedOrbit]:

@@ -16,6 +16,7 @@ from jaxnh.analyses.options.orbits import (
     BranchesOptions,
     CurvesOptions,
     DoublingOptions,
+    HomoclinicOptions,
     ManifoldsOptions,
     OrbitsOptions,
     PeriodOptions,
@@ -52,6 +53,7 @@ OPTIONS: dict[str, type[Options]] = {
         TransportOptions,
         ManifoldsOptions,
         EdgesOptions,
+        HomoclinicOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

@@ -131,6 +131,32 @@ class CurvesOptions(Continuation):
         return self
 
 
+class HomoclinicOptions(Continuation):
+    """Options of `homoclinic`."""
+
+    in_time: ClassVar[bool] = True
+    newton: ClassVar[bool] = True
+
+    n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles at each value searched")
+    seed: int = Field(default=0, ge=0, description="Seed of the random starts")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
+    )
+    n_values: int = Field(
+        default=3, ge=1, description="Number of values of the second axis at which orbits are looked for"
+    )
+    duration: float = Field(default=100.0, gt=0, description="Time for which manifolds of saddles are followed there")
+    pulses: int = Field(
+        default=1, ge=1, le=8, description="Passages of a saddle that are looked at: orbits return at the last one"
+    )
+    max_steps: int = Field(default=200, ge=2, description="Points of a curve to either side of its first, at most")
+
+    @model_validator(mode="after")
+    def _check_box(self) -> HomoclinicOptions:
+        check_sides(self.box)
+        return self
+
+
 class WindowsOptions(SensitivityOptions):
     """Options of `windows`."""
 

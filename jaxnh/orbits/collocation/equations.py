@@ -242,3 +242,15 @@ def direction_without(path: PiecewisePath, line: NewtonSystem, directions: Seque
     shares = np.linalg.svd(matrix)[2][:, -1]
     lengths = np.sqrt(np.einsum("li,lij,lj->l", shares, gram, shares))
     return combination([(shares[:, k] / lengths, one) for k, one in enumerate(line.null)])
+
+
+def orthonormal(path: PiecewisePath, line: NewtonSystem) -> NewtonSystem:
+    """The same with solutions without right-hand sides that are orthonormal, of one lane.
+
+    Those of `linearise` are of length one where a path begins. Near a saddle they grow from there by as many powers of
+    ten as the path is near, and are nearly the shift along the orbit, all of them.
+    """
+    weights = np.sqrt(np.broadcast_to(path.measure[..., None], line.rate.shape)).ravel()
+    columns = [np.concatenate([weights * one.stages.ravel(), one.extra.ravel()]) for one in line.null]
+    shares = np.linalg.inv(np.linalg.qr(np.stack(columns, axis=1), mode="r"))
+    return line._replace(null=[combination(list(zip(column, line.null, strict=True))) for column in shares.T])

@@ -7,12 +7,12 @@ and its eigenspaces go with the parameters. What the ends cut off falls exponent
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from scipy.linalg import expm, schur
+from scipy.linalg import schur
 
 from jaxnh.exceptions import InputError
 from jaxnh.orbits.collocation.equations import (
@@ -24,7 +24,7 @@ from jaxnh.orbits.collocation.equations import (
     fixed,
 )
 from jaxnh.orbits.collocation.newton import BoundaryOf, correct, on_adapted_mesh
-from jaxnh.orbits.collocation.paths import PiecewisePath, halved, on_mesh
+from jaxnh.orbits.collocation.paths import PiecewisePath, gauss_rule, halved, on_mesh
 
 _STEPS = 30
 _DIFFERENCE = 1e-5  # of the widths of parameters: cubes of it are rounding
@@ -40,12 +40,14 @@ class SaddlePoint(NamedTuple):
         state: the equilibrium, (d,), in the coordinates.
         eigenvalues: of the field's derivative, largest real part first, (d,).
         stable, unstable: left eigenspaces, their bases as rows.
+        jacobian: the field's derivative, in sizes, (d, d).
     """
 
     state: Float[np.ndarray, " d"]
     eigenvalues: Complex[np.ndarray, " d"]
     stable: Float[np.ndarray, "s d"]
     unstable: Float[np.ndarray, "u d"]
+    jacobian: Float[np.ndarray, "d d"]
 
 
 class Homoclinic(NamedTuple):
@@ -68,38 +70,46 @@ def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np
     Raises:
         InputError: Newton does not converge, or the equilibrium is no hyperbolic saddle.
     """
-    state, zero, size = guess[None].astype(float), np.zeros(1), problem.size
+    return saddles_at(problem, guess, values[None])[0]
+
+
+def saddles_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np.ndarray, "k q"]) -> list[SaddlePoint]:
+    """The equilibrium near a state at several parameters, by Newton; raises as `saddle_at`."""
+    size, zero = problem.size, np.zeros(len(values))
+    states = np.tile(np.asarray(guess, float), (len(values), 1))
     for _ in range(_STEPS):
-        at = problem.field(state, zero, values[None])
-        step = np.linalg.lstsq(np.asarray(at.jacobian)[0], -np.asarray(at.rate)[0])[0]
-        state = state + step
-        if np.abs(step / size).max() <= _FLOOR:
+        at = problem.field(states, zero, values)
+        rate, jacobian = np.asarray(at.rate), np.asarray(at.jacobian)
+        if not (np.isfinite(rate).all() and np.isfinite(jacobian).all()):
+            raise InputError(f"the field is not finite near {guess.tolist()} at parameters {values[0].tolist()}")
+        steps = -(np.linalg.pinv(jacobian) @ rate[..., None])[..., 0]
+        states = states + steps
+        if np.abs(steps / size).max() <= _FLOOR:
             break
     else:
-        raise InputError(f"no equilibrium near {guess.tolist()} at parameters {values.tolist()}")
-    jacobian = np.asarray(problem.field(state, zero, values[None]).jacobian)[0] * (size / size[:, None])
+        raise InputError(f"no equilibrium near {guess.tolist()} at parameters {values[0].tolist()}")
+    jacobians = np.asarray(problem.field(states, zero, values).jacobian) * (size / size[:, None])
+    return [_saddle(state, jacobian) for state, jacobian in zip(states, jacobians, strict=True)]
+
+
+def _saddle(state: Float[np.ndarray, " d"], jacobian: Float[np.ndarray, "d d"]) -> SaddlePoint:
     eigenvalues = np.linalg.eigvals(jacobian).astype(complex)
-    eigenvalues = eigenvalues[np.lexsort((eigenvalues.imag, -eigenvalues.real))]
+    eigenvalues = eigenvalues[np.lexsort((np.imag(eigenvalues), -np.real(eigenvalues)))]
     stable, unstable = (_eigenspace(jacobian.T, side).T for side in ("lhp", "rhp"))
-    if not 0 < len(stable) < len(size) or len(stable) + len(unstable) != len(size):
-        raise InputError(
-            f"the equilibrium {state[0].tolist()} is no saddle, its eigenvalues are {eigenvalues.tolist()}"
-        )
-    return SaddlePoint(state[0], eigenvalues, stable, unstable)
+    if not 0 < len(stable) < len(state) or len(stable) + len(unstable) != len(state):
+        raise InputError(f"the equilibrium {state.tolist()} is no saddle, its eigenvalues are {eigenvalues.tolist()}")
+    return SaddlePoint(state, eigenvalues, stable, unstable, jacobian)
 
 
-def projections(problem: Problem, guess: SaddlePoint) -> BoundaryOf:
-    """The projection boundary conditions of a homoclinic orbit to the saddle near one; of lanes the same."""
+def projections(problem: Problem, departure: SaddlePoint, arrival: SaddlePoint) -> BoundaryOf:
+    """The projection boundary conditions of an orbit from the saddle near one to that near another; of lanes the same.
 
-    def conditions(ends: Float[np.ndarray, "2 d"], values: Float[np.ndarray, " q"]) -> Float[np.ndarray, " d"]:
-        saddle = saddle_at(problem, guess.state, values)
-        first, last = (ends - saddle.state) / problem.size
-        bases = _aligned(saddle.stable, guess.stable), _aligned(saddle.unstable, guess.unstable)
-        return np.concatenate([bases[0] @ first, bases[1] @ last])
+    Both may be the same; the first must have as many unstable directions as the second.
+    """
 
     def boundary(solution: BoundarySolution, lanes: Int[np.ndarray, " lanes"]) -> BoundaryConditions:
         rows = [
-            _boundary_of_lane(problem, guess, conditions, path, values)
+            _boundary_of_lane(problem, departure, arrival, path, values)
             for path, values in zip(solution.path.ends[:, [0, -1]], solution.values, strict=True)
         ]
         return BoundaryConditions(*(np.stack(leaves) for leaves in zip(*rows, strict=True)))
@@ -125,9 +135,11 @@ def homoclinic_orbit(
     saddle = saddle_at(problem, near, cycle.values[0])
     solution = _solve(problem, _cut_open(cycle, saddle.state, problem.size), saddle, intervals)
     saddle = saddle_at(problem, saddle.state, solution.values[0])
-    longer = _solve(problem, _extended(problem, solution, saddle), saddle, intervals)
+    more = 0.5 * (_LONGER - 1.0) * solution.duration[0]
+    extended = with_ends(problem, solution, saddle, saddle, (more, more))
+    longer = _solve(problem, extended, saddle, intervals)
     finer = longer._replace(path=on_mesh(longer.path, halved(longer.path.mesh)))
-    corrected = correct(problem, finer, projections(problem, saddle), hold_duration)
+    corrected = correct(problem, finer, projections(problem, saddle, saddle), hold_duration)
     if not corrected.converged[0]:
         raise InputError("Newton comes to no homoclinic orbit on the halves of the mesh; begin with more intervals")
     value = corrected.solution.values[0, 0]
@@ -144,7 +156,7 @@ def hold_duration(line: NewtonSystem, lanes: Int[np.ndarray, " lanes"]) -> Seque
 
 
 def _solve(problem: Problem, guess: BoundarySolution, saddle: SaddlePoint, n: int) -> BoundarySolution:
-    corrected = on_adapted_mesh(problem, guess, projections(problem, saddle), hold_duration, n, cyclic=False)
+    corrected = on_adapted_mesh(problem, guess, projections(problem, saddle, saddle), hold_duration, n, cyclic=False)
     if not corrected.converged[0]:
         raise InputError(
             "Newton comes to no homoclinic orbit; begin with a cycle of longer duration, or more intervals"
@@ -154,23 +166,32 @@ def _solve(problem: Problem, guess: BoundarySolution, saddle: SaddlePoint, n: in
 
 def _boundary_of_lane(
     problem: Problem,
-    guess: SaddlePoint,
-    conditions: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    departure: SaddlePoint,
+    arrival: SaddlePoint,
     ends: Float[np.ndarray, "2 d"],
     values: Float[np.ndarray, " q"],
 ) -> BoundaryConditions:
     """The conditions at one solution; derivatives in parameters are central differences."""
-    saddle, d = saddle_at(problem, guess.state, values), len(problem.size)
-    stable, unstable = _aligned(saddle.stable, guess.stable), _aligned(saddle.unstable, guess.unstable)
-    first = np.concatenate([stable, np.zeros((d - len(stable), d))])
-    last = np.concatenate([np.zeros((len(stable), d)), unstable])
-    extra = np.zeros((d, 1 + len(values)))
-    for k, width in enumerate(problem.widths):
-        shift = np.zeros(len(values))
-        shift[k] = _DIFFERENCE * width
-        change = conditions(ends, values + shift) - conditions(ends, values - shift)
-        extra[:, 1 + k] = change / (2.0 * _DIFFERENCE)
-    return BoundaryConditions(first, last, extra, -conditions(ends, values))
+    d, shifts = len(problem.size), _DIFFERENCE * np.diag(problem.widths)
+    many = np.concatenate([values[None], values + shifts, values - shifts])
+    rows = _rows(problem, departure, ends[0], many, "stable"), _rows(problem, arrival, ends[1], many, "unstable")
+    missing = np.concatenate([gaps for _, gaps in rows], axis=1)
+    (begun, _), (ended, _) = rows
+    first = np.concatenate([begun[0], np.zeros((len(ended[0]), d))])
+    last = np.concatenate([np.zeros((len(begun[0]), d)), ended[0]])
+    extra, q = np.zeros((d, 1 + len(values))), len(values)
+    extra[:, 1:] = (missing[1 : 1 + q] - missing[1 + q :]).T / (2.0 * _DIFFERENCE)
+    return BoundaryConditions(first, last, extra, -missing[0])
+
+
+def _rows(
+    problem: Problem, guess: SaddlePoint, end: np.ndarray, values: Float[np.ndarray, "k q"], side: str
+) -> tuple[Float[np.ndarray, "k s d"], Float[np.ndarray, "k s"]]:
+    """The left eigenspace that an end has no share of, at several parameters, and the shares that it has."""
+    saddles = saddles_at(problem, guess.state, values)
+    bases = np.stack([_aligned(getattr(saddle, side), getattr(guess, side)) for saddle in saddles])
+    gaps = np.stack([(end - saddle.state) / problem.size for saddle in saddles])
+    return bases, (bases @ gaps[..., None])[..., 0]
 
 
 def _eigenspace(matrix: Float[np.ndarray, "d d"], side: str) -> Float[np.ndarray, "d k"]:
@@ -196,31 +217,48 @@ def _cut_open(
     return cycle._replace(path=whole)
 
 
-def _extended(problem: Problem, solution: BoundarySolution, saddle: SaddlePoint) -> BoundarySolution:
-    """The path with longer rests at both ends, where it goes exponentially to the saddle."""
-    path, duration = solution.path, solution.duration[0]
-    more, count = 0.5 * (_LONGER - 1.0), max(4, path.stages.shape[1] // 8)
-    size, values = problem.size, solution.values
-    jacobian = np.asarray(problem.field(saddle.state[None], np.zeros(1), values).jacobian)[0] * (size / size[:, None])
-    mesh = np.linspace(0.0, more, count + 1)
-    places = PiecewisePath(mesh[None], np.zeros((1, count + 1, 1)), path.stages[:, :1].repeat(count, axis=1)).places[0]
+def with_ends(
+    problem: Problem,
+    solution: BoundarySolution,
+    departure: SaddlePoint,
+    arrival: SaddlePoint,
+    more: tuple[float, float],
+) -> BoundarySolution:
+    """The path with longer rests at both ends, of these times, where it goes exponentially to the saddles.
 
-    def rest(times: np.ndarray, end: np.ndarray, side: str) -> np.ndarray:
-        """States at times after an end near the saddle, in an eigenspace of it."""
-        basis = _eigenspace(jacobian, side)
-        flow = expm(times[..., None, None] * (basis.T @ jacobian @ basis))
-        gone = flow @ (basis.T @ ((end - saddle.state) / size))
-        return saddle.state + size * (gone @ basis.T)
+    Negative times are cut off. One lane.
+    """
+    times, path = solution.duration[0] * solution.path.mesh[0], solution.path
+    first, last = max(0.0, -more[0]), solution.duration[0] - max(0.0, -more[1])
+    mesh = np.concatenate([[first], times[(times > first) & (times < last)], [last]])
+    path = on_mesh(path, mesh[None] / solution.duration[0])
+    parts = [(mesh, path.ends[0], path.stages[0])]
+    count, m = max(4, path.stages.shape[1] // 8), path.stages.shape[2]
+    if more[0] > 0.0:
+        parts.insert(0, _rest(problem, departure, path.ends[0, 0], np.linspace(-more[0], 0.0, count + 1), "rhp", m))
+        parts[0] = (first + parts[0][0], *parts[0][1:])
+    if more[1] > 0.0:
+        rest = _rest(problem, arrival, path.ends[0, -1], np.linspace(0.0, more[1], count + 1), "lhp", m)
+        parts.append((last + rest[0], *rest[1:]))
+    joined = np.concatenate([parts[0][0], *(part[0][1:] for part in parts[1:])])
+    ends = np.concatenate([parts[0][1], *(part[1][1:] for part in parts[1:])])
+    duration = joined[-1] - joined[0]
+    mesh = (joined - joined[0]) / duration
+    mesh[0], mesh[-1] = 0.0, 1.0
+    whole = PiecewisePath(mesh[None], ends[None], np.concatenate([part[2] for part in parts])[None])
+    return BoundarySolution(whole, np.array([duration]), solution.values)
 
-    first, last = path.ends[0, 0], path.ends[0, -1]
-    before, after = (mesh - more) * duration, mesh * duration
-    inside = more + path.mesh[0]
-    whole = PiecewisePath(
-        np.concatenate([mesh[:-1], inside, 1.0 + more + mesh[1:]])[None] / _LONGER,
-        np.concatenate([rest(before, first, "rhp")[:-1], path.ends[0], rest(after, last, "lhp")[1:]])[None],
-        np.concatenate(
-            [rest((places - more) * duration, first, "rhp"), path.stages[0], rest(places * duration, last, "lhp")]
-        )[None],
-    )
-    whole.mesh[:, -1] = 1.0
-    return BoundarySolution(whole, _LONGER * solution.duration, values)
+
+def _rest(
+    problem: Problem, saddle: SaddlePoint, end: np.ndarray, times: Float[np.ndarray, " k"], side: str, m: int
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k d"], Float[np.ndarray, "k-1 m d"]]:
+    """Times, and states at these and between them, in an eigenspace of a saddle from an end near it."""
+    basis = _eigenspace(saddle.jacobian, side)
+    rates, vectors = np.linalg.eig(basis.T @ saddle.jacobian @ basis)
+    shares = np.linalg.lstsq(vectors, basis.T @ ((end - saddle.state) / problem.size))[0]
+
+    def states(times: np.ndarray) -> np.ndarray:
+        inside = (shares * np.exp(times[..., None] * rates)) @ vectors.T
+        return saddle.state + problem.size * (inside.real @ basis.T)
+
+    return times, states(times), states(times[:-1, None] + np.diff(times)[:, None] * gauss_rule(m).points)

@@ -1,0 +1,310 @@
+"""First homoclinic and heteroclinic orbits: where a manifold of one dimension passes a saddle on its other side.
+
+From saddles with one unstable direction the manifold is followed in time, from those with one stable direction back in
+time, at all values of the first axis. Between two values where it leaves the neighbourhood of a saddle on different
+sides there is one where it stays: the values are refined, and the path that comes nearest is a guess for Newton.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.section_points import states_at
+from jaxnh.exceptions import InputError
+from jaxnh.maps.build import backward_parts, make_return_map
+from jaxnh.maps.protocol import ReturnMap
+from jaxnh.orbits.collocation.equations import BoundarySolution, Problem
+from jaxnh.orbits.collocation.homoclinic import SaddlePoint, saddles_at
+from jaxnh.orbits.collocation.paths import path_through
+from jaxnh.solvers import AdaptiveMethod
+
+_SAME = 1e-6  # sizes: equilibria this near are one
+_BEGUN = 1e-3  # sizes: where manifolds begin, on the eigenvector
+_FINER, _ROUNDS = 16, 12  # parts of an interval, and how often there are parts of parts, at most
+_NEAR_ENOUGH = 0.02  # of the largest distance so far: a path this near is a guess
+_FARTHEST = 100.0  # sizes: paths further out leave all bounds
+_PASSED = (
+    0.5,
+    0.15,
+)  # of the largest distance so far: minima of it below are passages; far from a saddle some are none
+_LEAVES = 0.5  # of the distance beyond all bounds that is along the direction of the side, at least
+_NEAREST = 0.1  # of the largest distance so far, after refinement: others pass no saddle
+_LOOKS, _STEPS_A_LOOK = 16, 4  # states a unit of time, at least, and steps between two of them
+_INTERVALS = 60
+_SHARE = 0.1  # of the largest component of a direction, whose first component beyond has the sign of its side
+_TILE = 32
+
+
+@dataclass
+class Chain:
+    """One saddle over values of the first axis: by the number of the value."""
+
+    saddles: dict[int, SaddlePoint]
+
+
+class ConnectionSeed(NamedTuple):
+    """A guess of a connecting orbit.
+
+    Attributes:
+        guess: path, duration and both parameters.
+        departure, arrival: states near its saddles.
+    """
+
+    guess: BoundarySolution
+    departure: Float[np.ndarray, " d"]
+    arrival: Float[np.ndarray, " d"]
+
+
+class Manifold(NamedTuple):
+    """One side of a manifold of dimension one.
+
+    Attributes:
+        chain: its saddle.
+        backward: whether it is the stable one.
+        sign: of its direction.
+    """
+
+    chain: Chain
+    backward: bool
+    sign: int
+
+
+class Bracket(NamedTuple):
+    """Two values of the first parameter at which a manifold passes a saddle on different sides.
+
+    Attributes:
+        saddles: that of the manifold and the one passed, at the first value.
+        direction: of the manifold there.
+        ends: the values.
+        pulse: number of the passage.
+        passed: part of the largest distance so far, below which a passage is one.
+    """
+
+    saddles: tuple[SaddlePoint, SaddlePoint]
+    direction: Float[np.ndarray, " d"]
+    ends: tuple[float, float]
+    pulse: int
+    passed: float
+
+
+class _Passage(NamedTuple):
+    place: int
+    side: float
+    distance: float
+
+
+class Shooting(NamedTuple):
+    """How manifolds are followed.
+
+    Attributes:
+        batch: lanes along the first axis, without a section.
+        lanes: runs lanes.
+        problem: the field over both parameters, in sizes of where equilibria are looked for.
+        second: value of the second parameter.
+        duration: time for which manifolds are followed.
+        pulses: passages of a saddle that are looked at.
+    """
+
+    batch: LaneBatch
+    lanes: LaneRunner
+    problem: Problem
+    second: float
+    duration: float
+    pulses: int
+
+    def saddles(self, state: Float[np.ndarray, " d"], values: Float[np.ndarray, " k"]) -> list[SaddlePoint]:
+        """The saddle near a state at values of the first parameter; none where it is none at one of them."""
+        try:
+            return saddles_at(self.problem, state, np.stack([values, np.full(len(values), self.second)], axis=1))
+        except InputError:
+            return []
+
+
+def saddle_chains(
+    shooting: Shooting, values: Float[np.ndarray, " k"], equilibria: list[Float[np.ndarray, "some d"]]
+) -> list[Chain]:
+    """All saddles over the values of the first axis, from equilibria that are known at each."""
+    chains = list[Chain]()
+    for number, one in enumerate(values[:, None]):
+        for chain in chains:
+            if number - 1 in chain.saddles:
+                for saddle in shooting.saddles(chain.saddles[number - 1].state, one):
+                    chain.saddles[number] = saddle
+        known = [chain.saddles[number].state for chain in chains if number in chain.saddles]
+        for u in equilibria[number]:
+            gaps = [shooting.batch.chart.wrap(u - state) / shooting.problem.size for state in known]
+            if min((np.abs(gap).max() for gap in gaps), default=np.inf) > _SAME:
+                known.append(u)
+                chains += [Chain({number: saddle}) for saddle in shooting.saddles(u, one)]
+    return chains
+
+
+def connection_seeds(
+    shooting: Shooting, values: Float[np.ndarray, " k"], chains: list[Chain]
+) -> Iterator[ConnectionSeed]:
+    """Guesses of connecting orbits of all saddles between values of the first axis."""
+    for manifold in _manifolds(shooting, chains):
+        numbers = sorted(manifold.chain.saddles)
+        starts = [manifold.chain.saddles[number] for number in numbers]
+        directions = _directions(manifold, starts)
+        paths = _paths(shooting, manifold, starts, directions, values[numbers])
+        for other in chains:
+            ends = [other.saddles.get(number) for number in numbers]
+            for passed in _PASSED:
+                passages = [
+                    _passages(shooting, manifold, path, end, passed) if end is not None and _fits(start, end) else []
+                    for path, start, end in zip(paths, starts, ends, strict=True)
+                ]
+                for k in range(len(numbers) - 1):
+                    pulse, end = _first_difference(passages[k], passages[k + 1]), ends[k]
+                    if pulse is not None and end is not None and numbers[k + 1] == numbers[k] + 1:
+                        low, high = values[[numbers[k], numbers[k + 1]]].tolist()
+                        bracket = Bracket((starts[k], end), directions[k], (low, high), pulse, passed)
+                        seed = _refined(shooting, manifold, bracket)
+                        if seed is not None:
+                            yield seed
+
+
+def _manifolds(shooting: Shooting, chains: list[Chain]) -> Iterator[Manifold]:
+    for chain in chains:
+        first = next(iter(chain.saddles.values()))
+        if len(first.unstable) == 1:
+            yield from (Manifold(chain, False, sign) for sign in (1, -1))
+        elif len(first.stable) == 1 and not isinstance(shooting.batch.solver, AdaptiveMethod):
+            yield from (Manifold(chain, True, sign) for sign in (1, -1))
+
+
+def _fits(start: SaddlePoint, end: SaddlePoint) -> bool:
+    """Whether orbits from one to the other are found at values of one parameter, and nowhere between."""
+    return len(start.unstable) == len(end.unstable)
+
+
+# ---- paths
+
+
+def _map_and_step(shooting: Shooting, backward: bool) -> tuple[ReturnMap, float]:
+    """The map from one state of a path to the next, and the time between them."""
+    batch, period = shooting.batch, shooting.batch.flow.period
+    parts = max(_LOOKS, batch.steps // _STEPS_A_LOOK)
+    if backward:
+        stacked = backward_parts(batch.flow, batch.solver, batch.steps, parts, period, compensated=batch.compensated)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[0], stacked), period / parts
+    span = (0.0, period / parts)
+    ahead = make_return_map(batch.flow, batch.solver, batch.steps, compensated=batch.compensated, span=span)
+    return ahead, period / parts
+
+
+def _paths(
+    shooting: Shooting,
+    manifold: Manifold,
+    starts: list[SaddlePoint],
+    directions: list[Float[np.ndarray, " d"]],
+    values: Float[np.ndarray, " lanes"],
+) -> Float[np.ndarray, "lanes count d"]:
+    """States along the manifold from saddles at values of the first parameter; not finite beyond all bounds."""
+    batch, size = shooting.batch, shooting.problem.size
+    first = np.stack([s.state for s in starts]) + _BEGUN * size * np.stack(directions)
+    moved, step = _map_and_step(shooting, manifold.backward)
+    p = dict(batch.at_values(values).p)
+    count = max(2, round(shooting.duration / step))
+    record = shooting.lanes.record(moved, count, (states_at(batch, shooting.lanes, first, _TILE), p), tile=_TILE)
+    return np.concatenate([first[:, None], batch.chart.host_points(record)], axis=1)
+
+
+def _directions(
+    manifold: Manifold, starts: list[SaddlePoint], first: Float[np.ndarray, " d"] | None = None
+) -> list[Float[np.ndarray, " d"]]:
+    """The directions in which a manifold begins at saddles one after the other, the first one as another is."""
+    directions = list[np.ndarray]()
+    for start in starts:
+        values, vectors = np.linalg.eig(start.jacobian)
+        rates = np.real(values)
+        vector = np.real(vectors[:, np.argmin(rates) if manifold.backward else np.argmax(rates)])
+        vector = vector / np.linalg.norm(vector)
+        before = directions[-1] if directions else first
+        if before is None:
+            leads = int(np.argmax(np.abs(vector) > _SHARE * np.abs(vector).max()))
+            before = manifold.sign * np.eye(len(vector))[leads]
+        directions.append(vector if vector @ before >= 0.0 else -vector)
+    return directions
+
+
+# ---- passages
+
+
+def _passages(
+    shooting: Shooting, manifold: Manifold, path: Float[np.ndarray, "count d"], saddle: SaddlePoint, passed: float
+) -> list[_Passage]:
+    """Where a path is nearest to a saddle in the coordinates of its eigenvectors, and on which side of it.
+
+    A path that leaves all bounds is on a side there too, as far from the saddle as it has been.
+    """
+    values, vectors = np.linalg.eig(saddle.jacobian)
+    real = np.where(np.imag(values) < 0.0, np.imag(vectors), np.real(vectors))
+    rates = np.real(values)
+    leaving = int(np.argmin(rates) if manifold.backward else np.argmax(rates))
+    gaps = shooting.batch.chart.wrap(path - saddle.state) / shooting.problem.size
+    with np.errstate(invalid="ignore", over="ignore"):
+        away = ~(np.abs(gaps).max(axis=1) <= _FARTHEST)
+    inside = int(np.argmax(away)) if away.any() else len(path)
+    shares = np.linalg.solve(real / np.linalg.norm(real, axis=0), gaps[:inside].T).T
+    distance = np.linalg.norm(shares, axis=1)
+    if len(distance) < 3:
+        return []
+    largest = np.maximum.accumulate(distance)
+    least = (distance[1:-1] <= distance[:-2]) & (distance[1:-1] < distance[2:])
+    least &= distance[1:-1] < passed * largest[1:-1]
+    places = [*(1 + np.flatnonzero(least)).tolist(), *([inside - 1] if away.any() else [])]
+    sides = np.sign(shares[:, leaving])
+    if away.any() and abs(shares[-1, leaving]) < _LEAVES * distance[-1]:
+        sides[-1] = 0.0  # on none
+    return [_Passage(k, float(sides[k]), float(distance[k] / largest[k])) for k in places[: shooting.pulses]]
+
+
+def _first_difference(one: list[_Passage], other: list[_Passage]) -> int | None:
+    """Number of the first passage that is on different sides, None where there is none."""
+    for k, (a, b) in enumerate(zip(one, other, strict=False)):
+        if a.side != b.side:
+            return k if a.side * b.side else None
+    return None
+
+
+def _refined(shooting: Shooting, manifold: Manifold, bracket: Bracket) -> ConnectionSeed | None:
+    """The path that comes nearest to the saddle between two values, None where it does not come near."""
+    saddles, direction, ends, pulse, passed = bracket
+    best: tuple[float, Float[np.ndarray, "count d"], float, SaddlePoint, SaddlePoint] | None = None
+    for _ in range(_ROUNDS):
+        values = np.linspace(*ends, _FINER + 1)
+        starts, arrivals = (shooting.saddles(saddle.state, values) for saddle in saddles)
+        if not (starts and arrivals):
+            return None
+        paths = _paths(shooting, manifold, starts, _directions(manifold, starts, direction), values)
+        found = [_passages(shooting, manifold, path, at, passed) for path, at in zip(paths, arrivals, strict=True)]
+        changed = [k for k in range(_FINER) if _first_difference(found[k], found[k + 1]) == pulse]
+        if not changed:
+            break
+        for k in (changed[0], changed[0] + 1):
+            passage = found[k][pulse]
+            if best is None or passage.distance < best[0]:
+                best = passage.distance, paths[k, : passage.place + 1], float(values[k]), starts[k], arrivals[k]
+        if best is not None and best[0] <= _NEAR_ENOUGH:
+            break
+        ends = float(values[changed[0]]), float(values[changed[0] + 1])
+    if best is None or best[0] > _NEAREST:
+        return None
+    _, path, value, first, last = best
+    step = _map_and_step(shooting, manifold.backward)[1]
+    turns = path[-1] - last.state - shooting.batch.chart.wrap(path[-1] - last.state)
+    near = (first.state, last.state + turns)
+    if manifold.backward:
+        path, near = path[::-1], near[::-1]
+    guess, duration = path_through(step * np.arange(len(path)), path, _INTERVALS)
+    parameters = np.array([[value, shooting.second]])
+    return ConnectionSeed(BoundarySolution(guess, np.array([duration]), parameters), *near)

@@ -1,0 +1,333 @@
+"""Curves of homoclinic and heteroclinic orbits over two parameters, with the saddles' eigenvalues along them.
+
+At some values of the second axis manifolds of saddles are followed along the first (`connection_seeds`); from each
+orbit that Newton confirms its curve goes to both ends (`orbits.collocation.connections`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from jaxnh.analyses.base import (
+    LANE,
+    Analysis,
+    Entry,
+    OptionError,
+    Setting,
+    SweepLanes,
+    SweepReduction,
+    Table,
+    flag,
+    variable,
+)
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, rate_attrs
+from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shooting, connection_seeds, saddle_chains
+from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
+from jaxnh.analyses.continuation.families import check_plane, no_collocation, plane_problem, step_control
+from jaxnh.analyses.options.orbits import HomoclinicOptions
+from jaxnh.analyses.random_starts import check_box
+from jaxnh.orbits.bifurcations.connection_points import (
+    POINTS,
+    TYPES,
+    SpecialConnection,
+    leading,
+    special_connections,
+)
+from jaxnh.orbits.collocation.connections import (
+    Connection,
+    ConnectionCurve,
+    connection_near,
+    follow_connections,
+    refined,
+)
+from jaxnh.orbits.collocation.equations import Problem
+from jaxnh.orbits.collocation.paths import values_at
+from jaxnh.orbits.continuation.paths import ENDS
+
+KINDS = ("homoclinic", "heteroclinic")
+"""Orbits by number: from a saddle to itself, or to another one."""
+
+_OWN_NAMES = (
+    "curve", "point", "codimension_two", "eigenvalue", "part", "kind", "begins", "ends", "eigenvalues",
+    "saddle_quantity", "saddle_type", "shilnikov", "codimension_two_kind", "codimension_two_curve",
+)  # fmt: skip
+_SAMPLES = 129  # of an orbit, close together where its mesh is
+_NEAR = 1e-2  # sizes and widths: orbits and parameters this near are on one curve
+
+
+class FollowedConnections(NamedTuple):
+    """A curve with errors.
+
+    Attributes:
+        points: orbits on fine meshes, in order.
+        errors: of both parameters, (k, 2).
+        ends: numbers in `ENDS`.
+        special: points of codimension two.
+    """
+
+    points: list[Connection]
+    errors: Float[np.ndarray, "k 2"]
+    ends: tuple[int, int]
+    special: list[SpecialConnection]
+
+
+def periods(options: HomoclinicOptions, lanes: int) -> float:
+    """Lane-periods of a run: a guess, as nobody knows how many saddles there are."""
+    return 2.0 * options.n_values * lanes**0.5 * options.duration
+
+
+def numbers(options: HomoclinicOptions) -> int:
+    """Numbers that a lane leaves."""
+    return 1
+
+
+def check(options: HomoclinicOptions, setting: Setting) -> None:
+    """Check the axes, names, and that the flow has isolated equilibria and a box to look for them."""
+    if why := no_collocation(setting.flow):
+        raise OptionError(why)
+    if not setting.autonomous:
+        raise OptionError("a flow with a clock has no equilibria, which homoclinic orbits connect")
+    check_plane("homoclinic orbits", setting)
+    if not options.box:
+        raise OptionError("needs a box to draw the starts of Newton for saddles from", "box")
+    check_box(options.box, setting, "box")
+    names = [axis.name for axis in setting.axes]
+    own = {*_OWN_NAMES, *(f"{name}_error" for name in names)}
+    for name in sorted({*names, *setting.flow.coordinates} & own):
+        raise OptionError(f"{name} is what homoclinic calls a number of its own; rename it")
+
+
+def run(options: HomoclinicOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
+    """Nothing: only lanes at a few values of the second axis are looked at, once all are there."""
+    return xr.Dataset({"lane_number": variable(LANE, np.arange(batch.count, dtype=np.int32), "number of a lane")})
+
+
+def whole(
+    options: HomoclinicOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset
+) -> Mapping[str, xr.Dataset]:
+    """The groups `homoclinic` and `connecting_orbits`."""
+    (first, second), [(_, row)] = sweep.axes, sweep.rows
+    row = row.without_section()
+    count = min(options.n_values, len(second.values))
+    sampled = np.unique(np.linspace(0, len(second.values) - 1, count).round().astype(int))
+    low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
+    names, curves = (first.name, second.name), list[tuple[Problem, ConnectionCurve]]()
+    for value in np.unique(second.values[sampled]).tolist():
+        batch = row.take(np.flatnonzero(row.p[second.name] == value))
+        batch = batch.take(np.argsort(batch.p[first.name], kind="stable"))
+        batch = replace(batch, axis=replace(first, values=batch.p[first.name]))
+        with lanes.stage(f"homoclinic: saddles and their manifolds at {second.name} = {value:g}", 0):
+            seeds = _seeds(options, batch, lanes, names, high - low, value)
+        with lanes.stage(f"homoclinic: curves from {len(seeds)} orbits at {second.name} = {value:g}", 0):
+            for seed in seeds:
+                _follow(options, plane_problem(batch, lanes, _size(seed), names, high - low), seed, (low, high), curves)
+    with lanes.stage(f"homoclinic: errors of {len(curves)}", 0):
+        followed = [_with_errors(problem, curve) for problem, curve in curves]
+    return {"homoclinic": _dataset(row, sweep.axes, followed), "connecting_orbits": _orbits(row, followed)}
+
+
+def _seeds(
+    options: HomoclinicOptions,
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    names: tuple[str, str],
+    widths: np.ndarray,
+    value: float,
+) -> list[ConnectionSeed]:
+    """Guesses of connecting orbits at a value of the second parameter."""
+    u, at, size = equilibria_in_a_box(batch, lanes, options.n_starts, options.seed, options.box)
+    values = np.unique(batch.first_axis.values)
+    problem = plane_problem(batch, lanes, size, names, widths)
+    shooting = Shooting(batch, lanes, problem, value, options.duration, options.pulses)
+    chains = saddle_chains(shooting, values, [u[at == one] for one in values])
+    return list(connection_seeds(shooting, values, chains))
+
+
+def _size(seed: ConnectionSeed) -> Float[np.ndarray, " d"]:
+    """Half the extent of a path in each coordinate."""
+    size = 0.5 * np.ptp(seed.guess.path.ends[0], axis=0)
+    return np.where(size > 1e-6 * size.max(), size, size.max())
+
+
+def _follow(
+    options: HomoclinicOptions,
+    problem: Problem,
+    seed: ConnectionSeed,
+    ends: tuple[np.ndarray, np.ndarray],
+    curves: list[tuple[Problem, ConnectionCurve]],
+) -> None:
+    """Add the curve of an orbit, unless Newton does not confirm it or its curve is known."""
+    begun = connection_near(problem, seed.guess, seed.departure, seed.arrival)
+    if begun is None or np.any(begun.values < ends[0]) or np.any(begun.values > ends[1]):
+        return
+    if not any(_passes(problem, curve, begun) for _, curve in curves):
+        curves.append((problem, follow_connections(problem, begun, *ends, step_control(options))))
+
+
+def _passes(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> bool:
+    """Return whether an orbit is on a curve: its parameters near a chord, its extent as that of the orbits there."""
+    for stretch in curve.stretches:
+        values = np.array([point.values for point in stretch.points]) / problem.widths
+        for k in range(len(values) - 1):
+            chord, gap = values[k + 1] - values[k], orbit.values / problem.widths - values[k]
+            share = float(np.clip(gap @ chord / max(chord @ chord, 1e-300), 0.0, 1.0))
+            shapes = [_shape(problem, point) for point in stretch.points[k : k + 2]]
+            shape = (1.0 - share) * shapes[0] + share * shapes[1]
+            if np.linalg.norm(gap - share * chord) <= _NEAR and np.abs(shape - _shape(problem, orbit)).max() <= _NEAR:
+                return True
+    return False
+
+
+def _shape(problem: Problem, orbit: Connection) -> Float[np.ndarray, " 2d"]:
+    """The box around an orbit, in sizes."""
+    ends = orbit.solution.path.ends[0] / problem.size
+    return np.concatenate([ends.min(axis=0), ends.max(axis=0)])
+
+
+def _with_errors(problem: Problem, curve: ConnectionCurve) -> FollowedConnections:
+    """The orbits of a curve on finer meshes, with the errors of their parameters; NaN where Newton confirms none."""
+    # Each stretch begins with the orbit that the one before ends with.
+    coarse = [point for k, stretch in enumerate(curve.stretches) for point in stretch.points[min(k, 1) :]]
+    points, errors = list[Connection](), list[np.ndarray]()
+    for point in coarse:
+        finer = refined(problem, point)
+        points.append(point if finer is None else finer[0])
+        errors.append(np.full(2, np.nan) if finer is None else finer[1])
+    homoclinic = _kind(coarse[0]) == 0 if coarse else False
+    special = [one for _, one in special_connections(problem, curve)] if homoclinic else []
+    return FollowedConnections(points, np.reshape(errors, (-1, 2)), curve.ends, special)
+
+
+def _kind(point: Connection) -> int:
+    """Number in `KINDS`: eigenvalues are those of the same saddle, or of one whole turns further."""
+    same = np.allclose(point.departure.jacobian, point.arrival.jacobian, rtol=1e-9, atol=1e-12)
+    return 0 if same else 1
+
+
+# ---- the dataset
+
+
+def _dataset(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[FollowedConnections]) -> xr.Dataset:
+    """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
+    shape, d = (len(curves), max((len(curve.points) for curve in curves), default=0)), batch.chart.dimension
+
+    def table(numbers: Sequence[Sequence[np.ndarray] | np.ndarray], *more: int, fill: float = np.nan) -> np.ndarray:
+        filled = np.full((*shape, *more), fill)
+        for k, one in enumerate(numbers):
+            filled[k, : len(one)] = np.reshape(one, (len(one), *more))
+        return filled
+
+    def along(number_of, *more: int, fill: float = np.nan) -> np.ndarray:
+        return table([[number_of(point) for point in curve.points] for curve in curves], *more, fill=fill)
+
+    dims, rate = ("curve", "point"), rate_attrs(batch.flow)
+    columns: dict[str, Entry] = {}
+    for k, axis in enumerate(axes):
+        columns[axis.name] = variable(dims, along(lambda point, k=k: point.values[k]), axis.long_name, axis.units)
+        words = f"error of {axis.name}: a point of the exact curve is as near in both parameters"
+        columns[f"{axis.name}_error"] = variable(dims, table([c.errors[:, k] for c in curves]), words, axis.units)
+    columns |= _saddle_columns(batch, dims, along)
+    eigenvalues = along(
+        lambda point: np.stack([point.departure.eigenvalues.real, point.departure.eigenvalues.imag], 1), d, 2
+    )
+    quantity = along(lambda point: leading(point.departure).saddle_quantity)
+    kinds = along(lambda point: leading(point.departure).kind, fill=-1.0)
+    shilnikov = along(lambda point: float(leading(point.departure).shilnikov), fill=-1.0)
+    filled = {
+        **columns,
+        "kind": flag("curve", [_kind(curve.points[0]) for curve in curves], "kind of orbit", KINDS),
+        "eigenvalues": variable(
+            (*dims, "eigenvalue", "part"), eigenvalues, "eigenvalues of the saddle, real and imaginary part", **rate
+        ),
+        "saddle_quantity": variable(dims, quantity, "sum of the real parts of both leading eigenvalues", **rate),
+        "saddle_type": flag(dims, kinds, "kind of the saddle by its leading eigenvalues", ("none", *TYPES), -1),
+        "shilnikov": flag(
+            dims, shilnikov, "whether there are infinitely many cycles nearby by Shilnikov", ("none", "no", "yes"), -1
+        ),
+        "begins": flag("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
+        "ends": flag("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
+        **_special_columns(axes, curves),
+    }
+    names = " ".join(axis.name for axis in axes)
+    attrs = {"over": names}
+    if not curves:
+        attrs["warnings"] = f"homoclinic: no orbit was found to follow over {names.replace(' ', ' and ')}"
+    return xr.Dataset(filled, attrs=attrs)
+
+
+def _orbits(batch: LaneBatch, curves: Sequence[FollowedConnections]) -> xr.Dataset:
+    """Variables over (curve, point, sample): times and states of the orbits, filled up with NaN."""
+    shape = len(curves), max((len(curve.points) for curve in curves), default=0), _SAMPLES
+    times, states = np.full(shape, np.nan), np.full((*shape, batch.chart.dimension), np.nan)
+    for k, curve in enumerate(curves):
+        for i, point in enumerate(curve.points):
+            path = point.solution.path
+            at = np.interp(np.linspace(0.0, 1.0, _SAMPLES), np.linspace(0.0, 1.0, path.mesh.shape[1]), path.mesh[0])
+            times[k, i], states[k, i] = point.solution.duration[0] * at, values_at(path, at[None])[0]
+    dims, labels = ("curve", "point", "sample"), batch.flow.labels
+    columns = {"t": variable(dims, times, "time from the first state near the saddle", labels.units["t"])}
+    for k, name in enumerate(batch.flow.coordinates):
+        columns[f"{name}_points"] = variable(dims, states[..., k], labels.long_names[name], labels.units[name])
+    return xr.Dataset(columns)
+
+
+def _saddle_columns(batch: LaneBatch, dims: tuple[str, str], along) -> dict[str, Entry]:
+    """States of the saddles that orbits leave and come to."""
+    columns: dict[str, Entry] = {}
+    for k, name in enumerate(batch.flow.coordinates):
+        words, units = batch.flow.labels.long_names[name], batch.flow.labels.units[name]
+        for end in ("departure", "arrival"):
+            state = along(lambda point, end=end, k=k: getattr(point, end).state[k])
+            columns[f"{name}_{end}"] = variable(dims, state, f"{words} at the saddle of {end}", units)
+    return columns
+
+
+def _special_columns(axes: Sequence[Axis], curves: Sequence[FollowedConnections]) -> dict[str, Entry]:
+    """Points of codimension two: kinds, numbers of their curves, and both parameters with errors."""
+    dim = "codimension_two"
+    special = [(k, one) for k, curve in enumerate(curves) for one in curve.special]
+    columns: dict[str, Entry] = {
+        f"{dim}_kind": flag(dim, [one.kind for _, one in special], "point of codimension two", POINTS),
+        f"{dim}_curve": variable(dim, np.array([k for k, _ in special], np.int32), "number of the curve"),
+    }
+    for k, axis in enumerate(axes):
+        name, at = f"{dim}_{axis.name}", [one.values[k] for _, one in special]
+        words = f"{axis.long_name} at the point of codimension two"
+        columns[name] = variable(dim, np.array(at, float), words, axis.units, ancillary_variables=f"{name}_error")
+        errors = np.array([one.error[k] for _, one in special], float)
+        columns[f"{name}_error"] = variable(dim, errors, f"error of {name}", axis.units)
+    return columns
+
+
+def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """A row a curve."""
+    first, second = str(data.attrs["over"]).split()
+    rows = []
+    for k in range(data.sizes["curve"]):
+        one = data.isel(curve=k)
+        ranges = [f"{float(one[name].min()):.9g} to {float(one[name].max()):.9g}" for name in (first, second)]
+        worst = max(float((one[f"{name}_error"]).max()) for name in (first, second))
+        special = [POINTS[int(kind)] for kind in data["codimension_two_kind"][data["codimension_two_curve"] == k]]
+        rows.append((KINDS[int(one["kind"])], *ranges, f"{worst:.1g}", ", ".join(special) or "–"))
+    heads = ("orbit", first, second, "error", "points of codimension two")
+    return Table("Homoclinic and heteroclinic orbits", heads, tuple(rows), left=(0, 4))
+
+
+ANALYSIS = Analysis(
+    "homoclinic",
+    HomoclinicOptions,
+    periods,
+    run,
+    whole=SweepReduction(("connecting_orbits",), whole),
+    numbers=numbers,
+    check=check,
+    table=table,
+    brief={"duration": 1, "n_values": 1, "n_starts": 1},
+)
+"""The entry of this analysis in the table."""

@@ -1,0 +1,198 @@
+"""Points of codimension two on curves of homoclinic orbits, and what the eigenvalues of the saddle tell. Host code.
+
+Test functions of the leading eigenvalues and of the directions in which an orbit leaves and comes back (Champneys and
+Kuznetsov, Int. J. Bifurcation Chaos 4 (1994) 785). Zeros are located on the curve by false position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from jaxnh.orbits.collocation.connections import Connection, ConnectionCurve, Stretch, refined
+from jaxnh.orbits.collocation.equations import Problem
+from jaxnh.orbits.collocation.homoclinic import SaddlePoint
+
+POINTS = (
+    "neutral_saddle", "neutral_saddle_focus", "neutral_bi_focus", "double_real_stable", "double_real_unstable",
+    "three_leading_stable", "three_leading_unstable", "neutrally_divergent_stable", "neutrally_divergent_unstable",
+    "orbit_flip_stable", "orbit_flip_unstable",
+)  # fmt: skip
+"""Points of codimension two by number.
+
+The saddle quantity is zero with real leading eigenvalues, and with complex ones, where Shilnikov's condition changes;
+two leading eigenvalues of one side meet, or a pair and a real one have the same real part; the real leading eigenvalue
+and the pair of the other side have no sum; the orbit goes along another eigenvector than the leading one.
+"""
+
+TYPES = ("saddle", "saddle_focus", "bi_focus")
+"""Saddles by how many of both leading eigenvalues are complex."""
+
+_SADDLE, _DOUBLE, _DIVERGENCE, _FLIP = range(4)
+_TESTS = ((_SADDLE, 0), (_DOUBLE, 0), (_DOUBLE, 1), (_DIVERGENCE, 0), (_DIVERGENCE, 1), (_FLIP, 0), (_FLIP, 1))
+_SECANTS = 60
+_KNOWN = 1e-13  # of the way between two points
+_DIFFERENCE = 1e-4  # likewise, for slopes
+_JUMP = 0.2  # of the smaller of both values of a test function: what is no smaller at its zero is a jump
+
+
+class SpecialConnection(NamedTuple):
+    """A point of codimension two.
+
+    Attributes:
+        kind: number in `POINTS`.
+        values, error: of both parameters, (2,).
+        point: the orbit.
+    """
+
+    kind: int
+    values: Float[np.ndarray, " 2"]
+    error: Float[np.ndarray, " 2"]
+    point: Connection
+
+
+class Leading(NamedTuple):
+    """Leading eigenvalues of a saddle, nearest to the imaginary axis first, of its stable and its unstable side."""
+
+    stable: Complex[np.ndarray, " s"]
+    unstable: Complex[np.ndarray, " u"]
+
+    @property
+    def saddle_quantity(self) -> float:
+        """Sum of the real parts of the first ones of both sides."""
+        return float(self.stable[0].real + self.unstable[0].real)
+
+    @property
+    def kind(self) -> int:
+        """Number in `TYPES`."""
+        return sum(int(side[0].imag != 0.0) for side in self)
+
+    @property
+    def shilnikov(self) -> bool:
+        """Whether infinitely many saddle cycles are near the orbit (Shilnikov, Math. USSR Sbornik 10 (1970) 91)."""
+        if self.kind != 1:
+            return self.kind == 2
+        return (self.saddle_quantity > 0.0) == (self.stable[0].imag != 0.0)
+
+
+def leading(saddle: SaddlePoint) -> Leading:
+    """The eigenvalues of a saddle by sides, leading ones first."""
+    values = saddle.eigenvalues
+    real = np.real(values)
+    return Leading(values[real < 0.0], values[real > 0.0][::-1])
+
+
+def special_connections(problem: Problem, curve: ConnectionCurve) -> list[tuple[int, SpecialConnection]]:
+    """Points of codimension two on a curve of homoclinic orbits, each with the number of its stretch."""
+    found = list[tuple[int, SpecialConnection]]()
+    for number, stretch in enumerate(curve.stretches):
+        for k in range(len(stretch.points) - 1):
+            one, other = stretch.points[k : k + 2]
+            for test in _TESTS:
+                ends = _test(test, one, one), _test(test, other, one)
+                if np.isfinite(ends).all() and ends[0] * ends[1] < 0.0:
+                    point = _locate(problem, stretch, k, test, ends)
+                    if point is not None:
+                        found.append((number, point))
+    return found
+
+
+# ---- test functions
+
+
+def _test(test: tuple[int, int], point: Connection, reference: Connection) -> float:
+    """A test function at an orbit, with the direction of eigenvectors as at a reference; not a number where none is."""
+    kind, side = test
+    eigenvalues = leading(point.departure)
+    if kind == _SADDLE:
+        return eigenvalues.saddle_quantity
+    own, beyond = eigenvalues[side], eigenvalues[1 - side]
+    if kind == _DOUBLE:
+        if len(own) < 2:
+            return np.nan
+        gap = own[0] - own[1]
+        return float((gap * gap).real)
+    if kind == _DIVERGENCE:
+        return float(beyond[0].real + 2.0 * own[0].real) if own[0].imag and not beyond[0].imag else np.nan
+    if len(own) < 2 or own[0].imag:
+        return np.nan
+    saddle = (point.arrival, point.departure)[side]
+    gap = point.solution.path.ends[0, -1 if side == 0 else 0] - saddle.state
+    direction, before = (_left_vector(end, side) for end in (saddle, (reference.arrival, reference.departure)[side]))
+    sign = 1.0 if direction @ before >= 0.0 else -1.0
+    scaled = gap / np.abs(gap).max()
+    return float(sign * (direction @ scaled))
+
+
+def _left_vector(saddle: SaddlePoint, side: int) -> Float[np.ndarray, " d"]:
+    """The left eigenvector of the leading eigenvalue of a side, of length one."""
+    values, vectors = np.linalg.eig(saddle.jacobian.T)
+    vector = np.real(vectors[:, np.argmin(np.abs(values - leading(saddle)[side][0]))])
+    return vector / np.linalg.norm(vector)
+
+
+def _kind_of(test: tuple[int, int], point: Connection, jumps: bool) -> int:
+    kind, side = test
+    if kind == _SADDLE:
+        return POINTS.index(f"neutral_{TYPES[leading(point.departure).kind]}")
+    words = {
+        _DOUBLE: "three_leading" if jumps else "double_real",
+        _DIVERGENCE: "neutrally_divergent",
+        _FLIP: "orbit_flip",
+    }
+    return POINTS.index(f"{words[kind]}_{('stable', 'unstable')[side]}")
+
+
+# ---- location
+
+
+def _locate(
+    problem: Problem, stretch: Stretch, k: int, test: tuple[int, int], ends: tuple[float, float]
+) -> SpecialConnection | None:
+    """The zero of a test function between two points of a stretch, on the mesh and on a finer one."""
+    reference = stretch.points[k]
+
+    def at(share: float) -> tuple[float, Connection | None]:
+        point = stretch.between(k, share)
+        return (np.nan if point is None else _test(test, point, reference)), point
+
+    share = _false_position(lambda s: at(s)[0], ends)
+    value, point = at(share) if share is not None else (np.nan, None)
+    if share is None or point is None or not np.isfinite(value):
+        return None
+    jumps = abs(value) > _JUMP * min(map(abs, ends))
+    if jumps and test[0] != _DOUBLE:
+        return None
+    finer = refined(problem, point)
+    if finer is None:
+        return None
+    exact, error = finer
+    (low, before), (high, after) = (at(share + step) for step in (-_DIFFERENCE, _DIFFERENCE))
+    if before is None or after is None:
+        return None
+    change = (after.values - before.values) / (2.0 * _DIFFERENCE)
+    further = 0.0 if jumps or high == low else -_test(test, exact, reference) / (high - low) * 2.0 * _DIFFERENCE
+    return SpecialConnection(
+        _kind_of(test, point, jumps), exact.values + further * change, error + np.abs(further * change), exact
+    )
+
+
+def _false_position(value: Callable[[float], float], ends: tuple[float, float]) -> float | None:
+    """The share between 0 and 1 where a function is zero, with the Illinois rule; None where it has no value."""
+    (low, high), (below, above) = (0.0, 1.0), ends
+    for _ in range(_SECANTS):
+        share = (low * above - high * below) / (above - below)
+        here = value(share)
+        if not np.isfinite(here):
+            return None
+        if here == 0.0 or abs(share - high) <= _KNOWN:
+            return share
+        if here * above < 0.0:
+            low, below = high, above
+        else:
+            below *= 0.5
+        high, above = share, here
+    return high

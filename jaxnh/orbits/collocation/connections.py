@@ -1,0 +1,396 @@
+"""Curves of homoclinic and heteroclinic orbits over two parameters, by the core of continuation. Host code.
+
+The unknowns are the path on a mesh and both parameters; the equations are those of collocation with projection boundary
+conditions at the saddles (`homoclinic`), for a duration that is held, and an integral phase condition. A curve is
+followed in stretches of a few points: after each the rests at the ends and the mesh are adapted to the orbit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnh.exceptions import InputError
+from jaxnh.orbits.collocation.equations import (
+    BoundarySolution,
+    NewtonSystem,
+    Problem,
+    Variation,
+    combination,
+    direction_without,
+    fixed,
+    inner,
+    linearise,
+    orthonormal,
+    phase_condition,
+)
+from jaxnh.orbits.collocation.homoclinic import SaddlePoint, hold_duration, projections, saddle_at, with_ends
+from jaxnh.orbits.collocation.newton import correct, on_adapted_mesh, remeshed
+from jaxnh.orbits.collocation.paths import PiecewisePath, halved, on_mesh
+from jaxnh.orbits.continuation import core
+from jaxnh.orbits.continuation.core import Evaluation, LinearSolution, Solution
+from jaxnh.orbits.continuation.paths import MOST_POINTS, NO_CONVERGENCE, NO_RETURN, NO_SADDLE, Path, StepControl
+
+_NEAR = 1e-5  # sizes: distance of the ends from their saddles, whose square is what projections leave
+_STRETCH = 12  # points between meshes
+_INTERVALS, _MOST = 60, 480  # of a mesh
+_RESOLVED = 1e-8  # widths: error of parameters, beyond which a mesh is made finer
+_LONGER = 1.5  # duration, by which what the ends cut off is told
+_ROUNDING = 1e-12  # widths
+_FIRST = 0.1  # of the largest step
+
+
+class Connection(NamedTuple):
+    """An orbit from a saddle to a saddle, one lane.
+
+    Attributes:
+        solution: the path, which begins and ends near them, and both parameters.
+        departure, arrival: the saddles; the same for a homoclinic orbit.
+        residual: largest component of the equations, in sizes.
+    """
+
+    solution: BoundarySolution
+    departure: SaddlePoint
+    arrival: SaddlePoint
+    residual: float = np.nan
+
+    @property
+    def values(self) -> Float[np.ndarray, " 2"]:
+        """Both parameters."""
+        return self.solution.values[0]
+
+
+class Stretch(NamedTuple):
+    """A part of a curve on one mesh.
+
+    Attributes:
+        points: orbits, in order.
+        between: orbits of the curve between two points: (number of the first, share of the way to the next), None
+            where Newton comes to none.
+    """
+
+    points: list[Connection]
+    between: Callable[[int, float], Connection | None]
+
+
+class ConnectionCurve(NamedTuple):
+    """A curve in both directions from where it was begun.
+
+    Attributes:
+        stretches: from one end to the other; each begins with the orbit that the one before ends with.
+        ends: why it ends where it begins, and at its end, numbers in `continuation.paths.ENDS`.
+    """
+
+    stretches: list[Stretch]
+    ends: tuple[int, int]
+
+
+class ConnectionEquations:
+    """Connecting orbits near one, on its mesh and of its duration, as `core.CurveEquations`, in sizes and widths."""
+
+    def __init__(
+        self, problem: Problem, near: Connection, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]
+    ) -> None:
+        path = near.solution.path
+        self._problem, self._near = problem, near
+        self._boundary = projections(problem, near.departure, near.arrival)
+        # Lengths are means over the path; ends of intervals follow from what is inside.
+        inside = np.repeat(1.0 / np.sqrt(path.measure.ravel()), path.ends.shape[2])
+        self.unit = np.concatenate([np.full(path.ends[0].size, np.inf), inside, np.ones(2)])
+        self.low, self.high = low / problem.widths, high / problem.widths
+        self._shift = phase_condition(problem, self._linear(near.solution))
+
+    def unknowns(self, solution: BoundarySolution) -> Float[np.ndarray, "1 N"]:
+        """Unknowns of an orbit on the same mesh."""
+        ends, stages = (
+            part.ravel() / np.tile(self._problem.size, part.size // part.shape[-1]) for part in solution.path[1:]
+        )
+        return np.concatenate([ends, stages, solution.values[0] / self._problem.widths])[None]
+
+    def orbit(self, z: Float[np.ndarray, " N"]) -> BoundarySolution:
+        """The path and parameters of unknowns."""
+        path, size = self._near.solution.path, self._problem.size
+        count = path.ends.size
+        ends, stages = z[:count].reshape(path.ends.shape) * size, z[count:-2].reshape(path.stages.shape) * size
+        moved = PiecewisePath(path.mesh, ends, stages)
+        return BoundarySolution(moved, self._near.solution.duration, z[None, -2:] * self._problem.widths)
+
+    def connection(self, z: Float[np.ndarray, " N"], residual: float) -> Connection:
+        """The orbit of unknowns with its saddles; raises `InputError` where there are none."""
+        orbit, ends = self.orbit(z), (self._near.departure, self._near.arrival)
+        saddles = [saddle_at(self._problem, end.state, orbit.values[0]) for end in ends]
+        return Connection(orbit, saddles[0], saddles[1], residual)
+
+    def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
+        """Residuals, and the step of Newton and the direction of the curve; not finite where there is no saddle."""
+        rows = [self._evaluate(one) for one in z]
+        residual, slopes = (np.stack(leaves) for leaves in zip(*rows, strict=True))
+        return Evaluation(residual, np.zeros((len(z), 0)), slopes)
+
+    def solve(self, at: Evaluation, /) -> LinearSolution:
+        """The step and the direction; where other curves pass is not asked for."""
+        least, null = at.slopes[:, 0], at.slopes[:, 1]
+        return LinearSolution(least, null, np.zeros_like(null), np.full(len(null), np.nan))
+
+    def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
+        """As it is: paths go on beyond whole turns."""
+        return gap
+
+    def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
+        """None but the orbit itself."""
+        return (z,)
+
+    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
+        """Any step."""
+        return np.full(len(now.z), np.inf)
+
+    def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
+        """None of their own."""
+        return {}, np.zeros(len(taken.z), bool)
+
+    def _linear(self, orbit: BoundarySolution) -> NewtonSystem:
+        line = linearise(self._problem, orbit, self._boundary(orbit, np.zeros(1, int)))
+        return orthonormal(orbit.path, line)
+
+    def _evaluate(self, z: Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "2 N"]]:
+        orbit, path = self.orbit(z), self._near.solution.path
+        try:
+            line = self._linear(orbit)
+        except (InputError, np.linalg.LinAlgError):
+            return np.full(2, np.nan), np.full((2, len(z)), np.nan)
+        gap = self.unknowns(orbit) - self.unknowns(self._near.solution)
+        passed = float(np.sum(gap[0] / self.unit * (self._flat(self._shift) / self.unit)))
+        conditions = [self._shift, fixed(line, -1)]
+        matrix = np.stack([[inner(path, way, one)[0] for one in line.null] for way in conditions])
+        missing = np.stack([inner(path, way, line.particular)[0] for way in conditions])
+        missing[0] += passed
+        shares = np.linalg.lstsq(matrix, -missing)[0]
+        least = combination([(1.0, line.particular), *zip(shares, line.null, strict=True)])
+        null = direction_without(path, line, conditions)
+        scale = np.sqrt(inner(path, self._shift, self._shift)[0])
+        return np.array([line.residual[0], passed / scale]), np.stack([self._flat(least), self._flat(null)])
+
+    def _flat(self, variation: Variation) -> Float[np.ndarray, " N"]:
+        return np.concatenate([variation.ends.ravel(), variation.stages.ravel(), variation.extra[0, 1:]])
+
+
+def connection_near(
+    problem: Problem,
+    guess: BoundarySolution,
+    departure: Float[np.ndarray, " d"],
+    arrival: Float[np.ndarray, " d"],
+    free: int = 0,
+) -> Connection | None:
+    """The connecting orbit near a path, at the value of the parameter that is not free; None where there is none.
+
+    Args:
+        problem: the field, with two parameters.
+        guess: one lane.
+        departure, arrival: states near the saddles.
+        free: number of the parameter that is solved for.
+    """
+    values = guess.values[0]
+    one = _of_one_parameter(problem, values, free)
+    try:
+        saddles = saddle_at(problem, departure, values), saddle_at(problem, arrival, values)
+        if len(saddles[0].unstable) != len(saddles[1].unstable):
+            return None
+        first = guess._replace(values=values[None, free : free + 1])
+        solved = on_adapted_mesh(one, first, projections(one, *saddles), hold_duration, _INTERVALS, cyclic=False)
+        if not solved.converged[0]:
+            return None
+        both = values.copy()
+        both[free] = solved.solution.values[0, 0]
+        return _adapted(
+            problem, _again(problem, Connection(solved.solution._replace(values=both[None]), *saddles)), held=1 - free
+        )
+    except (InputError, np.linalg.LinAlgError):
+        return None
+
+
+def follow_connections(
+    problem: Problem, begun: Connection, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"], steps: StepControl
+) -> ConnectionCurve:
+    """The curve through an orbit, from one end to the other, between the ends of both parameters' ranges."""
+    sides = [_follow(problem, begun, sign, low, high, steps) for sign in (1.0, -1.0)]
+    (ahead, last), (back, first) = sides
+    return ConnectionCurve([*(_reversed(stretch) for stretch in back[::-1]), *ahead], (first, last))
+
+
+def refined(problem: Problem, point: Connection) -> tuple[Connection, Float[np.ndarray, " 2"]] | None:
+    """The orbit with longer rests on half of the intervals, across the curve, and the error of both parameters.
+
+    What is left of the mesh and of the ends is less than how far these have moved the parameters, each by itself. None
+    where Newton does not confirm the orbit.
+    """
+    try:
+        more = 0.5 * (_LONGER - 1.0) * point.solution.duration[0]
+        longer = _across(
+            problem, point, with_ends(problem, point.solution, point.departure, point.arrival, (more, more))
+        )
+        if longer is None:
+            return None
+        finer = _on_halves(problem, longer)
+    except (InputError, np.linalg.LinAlgError):
+        return None
+    if finer is None:
+        return None
+    error = np.abs(finer.values - longer.values) + np.abs(longer.values - point.values)
+    return finer, error + _ROUNDING * problem.widths + np.spacing(np.abs(finer.values))
+
+
+# ---- stretches
+
+
+def _follow(
+    problem: Problem, begun: Connection, sign: float, low: np.ndarray, high: np.ndarray, steps: StepControl
+) -> tuple[list[Stretch], int]:
+    """The curve from an orbit in one direction, stretch by stretch, and why it ends."""
+    stretches, left, size, now, toward = list[Stretch](), steps.max_steps, steps.ds, begun, None
+    while left > 0:
+        equations = ConnectionEquations(problem, now, low, high)
+        first = core.correct(equations, equations.unknowns(now.solution), tolerance=core.FINE)
+        if not first.converged[0]:
+            return stretches, NO_CONVERGENCE
+        share = sign * first.way[0, -1] if toward is None else first.way[0, -2:] @ toward
+        if (share if toward is not None or share else sign * first.way[0, -2]) < 0.0:
+            first = first.backward()
+        control = StepControl(steps.ds_max, min(_STRETCH, left), size or _FIRST * steps.ds_max, steps.ds_min)
+        track, end = _track(equations, first, control)
+        stretch = _stretch(equations, track)
+        stretches.append(stretch)
+        left -= len(stretch.points) - 1
+        if len(stretch.points) < 2:
+            intervals = now.solution.path.stages.shape[1]
+            if end == NO_CONVERGENCE and 2 * intervals <= _MOST:
+                stretches.pop()
+                now = _adapted(problem, now, 2 * intervals)
+                continue
+            return stretches, NO_SADDLE if end == NO_RETURN else end
+        if end not in (MOST_POINTS, NO_CONVERGENCE):
+            return stretches, NO_SADDLE if end == NO_RETURN else end
+        gaps = core.norm(equations.unit, np.diff(track.z[-2:], axis=0))
+        size, toward = float(np.clip(gaps[0], steps.ds_min, steps.ds_max)), track.way[-1, -2:]
+        now = _adapted(problem, stretch.points[-1])
+    return stretches, MOST_POINTS
+
+
+def _track(equations: ConnectionEquations, first: Solution, control: StepControl) -> tuple[Solution, int]:
+    path = Path(equations, first, control)
+    path.begin(np.zeros(1, int))
+    while len(path.active):
+        path.step()
+    return path.track(0), int(path.end[0])
+
+
+def _stretch(equations: ConnectionEquations, track: Solution) -> Stretch:
+    points = list[Connection]()
+    for z, residual in zip(track.z, track.residual, strict=True):
+        try:
+            points.append(equations.connection(z, float(residual)))
+        except InputError:
+            break
+
+    def between(number: int, share: float) -> Connection | None:
+        z, way = (leaf[number] + share * (leaf[number + 1] - leaf[number]) for leaf in (track.z, track.way))
+        way /= core.norm(equations.unit, way[None])[0]
+        there = core.correct(equations, z[None], way[None], core.FINE)
+        if not there.converged[0]:
+            return None
+        try:
+            return equations.connection(there.z[0], float(there.residual[0]))
+        except InputError:
+            return None
+
+    return Stretch(points, between)
+
+
+def _reversed(stretch: Stretch) -> Stretch:
+    last = len(stretch.points) - 1
+
+    def between(number: int, share: float) -> Connection | None:
+        return stretch.between(last - 1 - number, 1.0 - share)
+
+    return Stretch(stretch.points[::-1], between)
+
+
+# ---- meshes and rests
+
+
+def _adapted(problem: Problem, point: Connection, n: int | None = None, held: int | None = None) -> Connection:
+    """The orbit with rests as long as they must be, on a mesh adapted to it, as fine as its parameters need.
+
+    Across the curve, or at the value of the parameter of a number that is held.
+    """
+    intervals = point.solution.path.stages.shape[1] if n is None else n
+    saddles = point.departure, point.arrival
+    more = [_missing_rest(problem, point, k) for k in range(2)]
+    solution = with_ends(problem, point.solution, *saddles, (more[0], more[1]))
+    while True:
+        new = _across(problem, point, remeshed(problem, solution, intervals, cyclic=False), held)
+        if new is not None:
+            new = _across(problem, new, remeshed(problem, new.solution, intervals, cyclic=False), held) or new
+            finer = _on_halves(problem, new, held)
+            if finer is not None and np.all(np.abs(finer.values - new.values) <= _RESOLVED * problem.widths):
+                return new
+        if 2 * intervals > _MOST:
+            return new or point
+        intervals *= 2
+
+
+def _on_halves(problem: Problem, point: Connection, held: int | None = None) -> Connection | None:
+    path = point.solution.path
+    return _across(problem, point, point.solution._replace(path=on_mesh(path, halved(path.mesh))), held)
+
+
+def _missing_rest(problem: Problem, point: Connection, end: int) -> float:
+    """The time by which an end is to be later (or earlier) so that it is as near to its saddle as is asked for."""
+    saddle, path = (point.departure, point.arrival)[end], point.solution.path
+    real = np.real(saddle.eigenvalues)
+    rate = real[real > 0.0].min() if end == 0 else -real[real < 0.0].max()
+    away = np.linalg.norm((path.ends[0] - saddle.state) / problem.size, axis=1)
+    if away[-end] >= _NEAR:
+        return float(np.log(away[-end] / _NEAR) / rate)
+    beyond = np.flatnonzero(away > _NEAR)
+    times = point.solution.duration[0] * path.mesh[0]
+    return -float(times[beyond[0] - 1] if end == 0 else times[-1] - times[beyond[-1] + 1])
+
+
+def _across(problem: Problem, point: Connection, guess: BoundarySolution, held: int | None = None) -> Connection | None:
+    """The orbit near a guess whose parameters differ from those of a point across the curve, or one is as it is."""
+    boundary = projections(problem, point.departure, point.arrival)
+
+    def hold(line: NewtonSystem, lanes: np.ndarray) -> list[Variation]:
+        if held is not None:
+            return [fixed(line, -1), fixed(line, held)]
+        line = orthonormal(guess.path, line)
+        return [fixed(line, -1), direction_without(guess.path, line, [phase_condition(problem, line), fixed(line, -1)])]
+
+    corrected = correct(problem, guess, boundary, hold)
+    if not corrected.converged[0]:
+        return None
+    orbit = corrected.solution
+    if held is not None:
+        orbit.values[0, held] = guess.values[0, held]  # but for rounding
+    return _again(problem, Connection(orbit, point.departure, point.arrival, float(corrected.residual[0])))
+
+
+def _again(problem: Problem, point: Connection) -> Connection:
+    """The orbit with the saddles at its own parameters."""
+    saddles = [saddle_at(problem, end.state, point.values) for end in (point.departure, point.arrival)]
+    return point._replace(departure=saddles[0], arrival=saddles[1])
+
+
+def _of_one_parameter(problem: Problem, values: Float[np.ndarray, " 2"], free: int) -> Problem:
+    """The problem with one of both parameters, the other one as it is."""
+
+    def field(y: np.ndarray, t: np.ndarray, one: np.ndarray):
+        both = np.tile(values, (len(y), 1))
+        both[:, free] = one[:, 0]
+        at = problem.field(y, t, both)
+        return at._replace(by_parameters=np.asarray(at.by_parameters)[..., free : free + 1])
+
+    return problem._replace(field=field, widths=problem.widths[free : free + 1])

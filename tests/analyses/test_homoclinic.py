@@ -1,0 +1,116 @@
+"""Homoclinic and heteroclinic orbits through the whole package: fronts, pulses, saddle-foci, and what is refused."""
+
+from __future__ import annotations
+
+import inspect
+
+import numpy as np
+import pytest
+
+import jaxnh
+from jaxnh.analyses.continuation.homoclinic import KINDS
+from jaxnh.analyses.registry import ANALYSES
+from jaxnh.engine.experiment import Experiment
+from jaxnh.exceptions import ConfigError
+from jaxnh.orbits.bifurcations.connection_points import POINTS, TYPES
+from tests.flows import connections
+from tests.helpers import contract
+from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
+
+STEPS = "accuracy: {solver: tsit5, steps: 20}\n"
+
+
+def experiment(folder, flow, initial, sweep, options):
+    path = folder / "flow.py"
+    path.write_text(inspect.getsource(flow).replace(f"def {flow.__name__}", "def system"))
+    config = f"system: {{file: {path}}}\ninitial: {initial}\nsweep: {sweep}\n{STEPS}"
+    return Experiment.from_text(config + f"analyses: {{homoclinic: {options}}}\n")
+
+
+def result_of(*arguments):
+    asked = experiment(*arguments)
+    session = session_of(asked)
+    session._lanes = lanes_with_kept_programs(None, session._lanes.devices[:1], 32, QUICKLY_COMPILED)
+    groups = session.tree()
+    units = asked.flow().labels.units
+    for name, group in groups.children.items():
+        contract.check(name, group.to_dataset(), [key for key, unit in units.items() if not unit])
+    return groups
+
+
+def points(data, curve, names):
+    """Values and errors of a curve, (points, 2) each."""
+    one = data.isel(curve=curve)
+    values, errors = (np.stack([one[name + rest].to_numpy() for name in names], axis=1) for rest in ("", "_error"))
+    known = np.isfinite(values).all(axis=1)
+    return values[known], errors[known]
+
+
+@pytest.mark.usefixtures("uncalibrated")
+def test_fronts(tmp_path):
+    """From saddles that Newton finds in the box and from nothing else: c = (1 − 2a)/√2, a front and the one back."""
+    box = "{u: [-0.5, 1.5], v: [-0.2, 0.2]}"
+    options = f"{{box: {box}, n_starts: 16, n_values: 1, duration: 40, ds_max: 0.1}}"
+    sweep = "{c: {start: 0.1, stop: 0.7, count: 4}, a: {start: 0.1, stop: 0.4, count: 3}}"
+    groups = result_of(tmp_path, connections.nagumo, "{u: 0.5, v: 0.1}", sweep, options)
+    data = groups["homoclinic"].to_dataset()
+    assert [KINDS[kind] for kind in data["kind"].values] == ["heteroclinic"]
+    values, errors = points(data, 0, ("c", "a"))
+    assert np.all(np.abs(values[:, 0] - (1 - 2 * values[:, 1]) / np.sqrt(2)) <= errors.sum(axis=1))
+    assert errors.max() < 1e-8
+    assert np.ptp(values[:, 1]) == pytest.approx(0.3)
+    orbit = groups["connecting_orbits"].to_dataset().isel(curve=0, point=0)
+    assert np.allclose(orbit["v_points"], orbit["u_points"] * (1 - orbit["u_points"]) / np.sqrt(2), atol=1e-6)
+    assert data["u_departure"].values[0, 0] == pytest.approx(0.0, abs=1e-12)
+    assert data["u_arrival"].values[0, 0] == pytest.approx(1.0)
+    table = ANALYSES["homoclinic"].table(data, {}, "")
+    assert table.rows[0][0] == "heteroclinic"
+    jaxnh.figure(groups)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("uncalibrated")
+def test_a_saddle_focus(tmp_path):
+    """Where Shilnikov's condition changes, b = (1 − 2a³)/a; the flag on both sides; orbits by shooting."""
+    options = "{box: {x: [-0.5, 1.5], v: [-1, 1], w: [-1, 1]}, n_starts: 16, n_values: 1, duration: 40, ds_max: 0.1}"
+    sweep = "{a: {start: 0.3, stop: 1.4, count: 12}, b: {values: [0.6, 0.7, 0.8]}}"
+    data = result_of(tmp_path, connections.arneodo, "{x: 0.1, v: 0.1}", sweep, options)["homoclinic"].to_dataset()
+    assert set(data["kind"].values) == {KINDS.index("homoclinic")}
+    special = [POINTS[kind] for kind in data["codimension_two_kind"].values]
+    assert special
+    assert set(special) == {"neutral_saddle_focus"}
+    a, b = (data[f"codimension_two_{name}"].values for name in "ab")
+    errors = [data[f"codimension_two_{name}_error"].values for name in "ab"]
+    assert np.all(np.abs(b - (1 - 2 * a**3) / a) <= errors[1] + 5.0 * errors[0])  # the slope of that line
+    for curve in range(data.sizes["curve"]):
+        values, errors = points(data, curve, ("a", "b"))
+        one = data.isel(curve=curve, point=slice(len(values)))
+        assert np.all(one["saddle_type"] == TYPES.index("saddle_focus"))
+        index = values[:, 0] - one["eigenvalues"].values[:, 0, 0]  # −2 Re of the pair, less the real one's … the trace
+        roots = np.array([np.roots([1, a, b, -1]) for a, b in values])
+        largest = np.array([r[np.abs(r.imag) < 1e-12].real.max() for r in roots])
+        assert np.allclose(one["eigenvalues"].values[:, 0, 0], largest, rtol=1e-8)
+        assert np.array_equal(one["shilnikov"].values == 1, largest > values[:, 0])
+        assert np.isfinite(index).all()
+        for (a, b), error in list(zip(values, errors, strict=True))[::8]:
+
+            def side(value, b=b):
+                rhs = connections.arneodo(value, b)["rhs"]
+                return connections.side(rhs, [[0, 1, 0], [0, 0, 1], [1, -b, -value]], 60.0)
+
+            assert abs(connections.located(side, a - 1e-4, a + 1e-4, 36) - a) <= 20.0 * error.sum() + 1e-10
+
+
+@pytest.mark.parametrize(
+    ("sweep", "options", "message"),
+    [
+        ("{c: {start: 0.1, stop: 0.7, count: 4}}", "{box: {u: [0, 1]}}", "followed over two axes, and the sweep has c"),
+        ("{c: {values: [0.1, 0.2]}, a: {values: [0.1]}}", "{box: {u: [0, 1]}}", "over a range of a"),
+        ("{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}", "{}", "needs a box"),
+        ("{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}", "{box: {q: [0, 1]}}", "no coordinate q"),
+        ("{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}", "{box: {u: [1, 0]}}", "the lower one"),
+    ],
+)
+def test_what_homoclinic_cannot_do_is_said(tmp_path, sweep, options, message):
+    with pytest.raises(ConfigError, match=message):
+        experiment(tmp_path, connections.nagumo, "{u: 0.5, v: 0.1}", sweep, options).requested()

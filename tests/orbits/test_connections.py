@@ -1,0 +1,118 @@
+"""Curves of homoclinic and heteroclinic orbits over two parameters, against closed forms and shooting by DOP853."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from jaxnh.orbits.bifurcations.connection_points import POINTS, leading, special_connections
+from jaxnh.orbits.collocation.connections import connection_near, follow_connections, refined
+from jaxnh.orbits.collocation.equations import BoundarySolution
+from jaxnh.orbits.collocation.paths import path_through
+from jaxnh.orbits.continuation.paths import RANGE, StepControl
+from jaxnh.systems.first_order import first_order
+from tests.flows import connections
+from tests.flows.lorenz import PARAMETERS, lorenz
+from tests.helpers.cycle_problems import problem_of
+
+
+def guess_through(times, states, values, n=60):
+    path, duration = path_through(times, states, n)
+    return BoundarySolution(path, np.array([duration]), np.array([values], float))
+
+
+def points_of(curve):
+    return [point for stretch in curve.stretches for point in stretch.points]
+
+
+def lorenz_curve():
+    """The orbit at σ = 10 from a rough path, and its curve over (ρ, σ)."""
+    problem = problem_of(
+        first_order(lorenz, PARAMETERS, ("rho", "sigma")), ("rho", "sigma"), (8.0, 9.0, 9.0), (10.0, 5.0)
+    )
+    rate = 0.5 * (-11 + np.sqrt(121 + 40 * 12.9))
+    rhs = lorenz(10.0, 13.9, 8 / 3)["rhs"]
+    path = solve_ivp(lambda t, y: rhs(y, t), (0.0, 2.3), 1e-3 * np.array([10, 10 + rate, 0]), rtol=1e-8, atol=1e-10)
+    guess = guess_through(path.t, path.y.T, (13.9, 10.0))
+    begun = connection_near(problem, guess, np.zeros(3), np.zeros(3))
+    low, high = np.array([10.0, 8.0]), np.array([20.0, 12.0])
+    return problem, begun, follow_connections(problem, begun, low, high, StepControl(0.1, 100))
+
+
+def lorenz_by_shooting(sigma, near):
+    def side(rho):
+        rhs = lorenz(sigma, rho, 8 / 3)["rhs"]
+        return connections.side(rhs, [[-sigma, sigma, 0], [rho, -1, 0], [0, 0, -8 / 3]], 12.0)
+
+    return connections.located(side, near - 1e-5, near + 1e-5, 22)
+
+
+def test_lorenz_over_two_parameters():
+    """ρ = 13.926557407520 at σ = 10, and the ends of the curve by bisection; the saddle's eigenvalues in closed form."""
+    problem, begun, curve = lorenz_curve()
+    assert begun.values[1] == 10.0
+    assert abs(begun.values[0] - connections.LORENZ) <= refined(problem, begun)[1][0] < 1e-9
+    assert curve.ends == (RANGE, RANGE)
+    for orbit in (curve.stretches[0].points[0], curve.stretches[-1].points[-1]):
+        finer, error = refined(problem, orbit)
+        rho, sigma = finer.values
+        assert min(abs(sigma - 8.0), abs(sigma - 12.0)) < 1e-9
+        assert abs(lorenz_by_shooting(sigma, rho) - rho) <= error[0] + 1e-11  # of the bisection
+        root = np.sqrt((sigma - 1) ** 2 + 4 * sigma * rho)
+        exact = np.sort([(-sigma - 1 - root) / 2, -8 / 3, (-sigma - 1 + root) / 2])[::-1]
+        assert np.allclose(finer.departure.eigenvalues, exact, rtol=1e-9)
+    assert not special_connections(problem, curve)
+    assert not any(leading(orbit.departure).shilnikov for orbit in points_of(curve))
+
+
+def test_the_pulse_beside_the_hamiltonian_one():
+    """a = −6/7 b at first order, odd in b, and the neutral saddle at (0, 0), where the pulse is in closed form."""
+    problem = problem_of(
+        first_order(connections.pulse, {"a": 0.0, "b": 0.5}, ("a", "b")), ("a", "b"), (1.5, 0.6), (2.0, 1.0)
+    )
+    times = np.linspace(-9.0, 9.0, 200)
+    x = 1.5 / np.cosh(times / 2) ** 2
+    guess = guess_through(times, np.stack([x, -x * np.tanh(times / 2)], axis=1), (-0.4, 0.5))
+    begun = connection_near(problem, guess, np.zeros(2), np.zeros(2))
+    curve = follow_connections(problem, begun, np.array([-1.0, -0.5]), np.array([1.0, 0.5]), StepControl(0.1, 100))
+    a, b = np.array([point.values for point in points_of(curve)]).T
+    slopes = (a + 6 / 7 * b)[np.abs(b) > 1e-6] / b[np.abs(b) > 1e-6] ** 3
+    assert np.ptp(slopes) < 0.1 * np.abs(slopes).max()  # one coefficient of b³, but for the next order
+    assert abs(a[0] + a[-1]) < 1e-9
+    [(_, special)] = special_connections(problem, curve)
+    assert POINTS[special.kind] == "neutral_saddle"
+    assert np.all(np.abs(special.values) <= special.error)
+    assert special.error.max() < 1e-9
+    path = special.point.solution.path
+    energy = path.ends[0, :, 1] ** 2 / 2 - path.ends[0, :, 0] ** 2 / 2 + path.ends[0, :, 0] ** 3 / 3
+    assert np.abs(energy).max() < 1e-9
+    assert path.ends[0, :, 0].max() == pytest.approx(1.5, abs=1e-2)  # of the mesh
+
+
+def test_fronts_in_closed_form():
+    """Heteroclinic: c = (1 − 2a)/√2 all along the curve, within the errors."""
+    problem = problem_of(
+        first_order(connections.nagumo, {"c": 0.3, "a": 0.3}, ("c", "a")), ("c", "a"), (0.5, 0.1), (1.0, 0.4)
+    )
+    times = np.linspace(-14.0, 14.0, 200)
+    u = 1 / (1 + np.exp(-times / np.sqrt(2)))
+    guess = guess_through(times, np.stack([u, u * (1 - u) / np.sqrt(2)], axis=1), (0.3, 0.3))
+    begun = connection_near(problem, guess, np.zeros(2), np.array([1.0, 0.0]))
+    curve = follow_connections(problem, begun, np.array([0.0, 0.1]), np.array([1.0, 0.5]), StepControl(0.1, 100))
+    assert curve.ends == (RANGE, RANGE)
+    for orbit in points_of(curve):
+        finer, error = refined(problem, orbit)
+        c, a = finer.values
+        assert abs(c - (1 - 2 * a) / np.sqrt(2)) <= error.sum()
+        assert error.max() < 1e-8
+
+
+def test_what_is_near_no_orbit():
+    """No orbit from a path that is none, and none between saddles of unlike numbers of unstable directions."""
+    problem = problem_of(
+        first_order(connections.arneodo, {"a": 0.6, "b": 0.7}, ("a", "b")), ("a", "b"), (1.0, 1.0, 1.0)
+    )
+    times = np.linspace(0.0, 1.0, 20)
+    guess = guess_through(times, np.stack([np.sin(times), times, times**2], axis=1), (0.6, 0.7))
+    assert connection_near(problem, guess, np.zeros(3), np.array([1.0, 0.0, 0.0])) is None
