@@ -111,9 +111,7 @@ def find_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor,
         return plan_of(experiment, axes, calibration, requested)
 
 
-def find_or_keep_plan(
-    experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor, requested: Requested
-) -> Plan:
+def find_or_keep_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor, requested: Requested) -> Plan:
     """The plan of `find_plan`, kept for later sessions of the same experiment; it is the same bit for bit.
 
     Raises:

@@ -260,9 +260,7 @@ class Session:
             if key in analysis.options.model_fields and key not in self._base.sweep.known:
                 raise InputError(f"{key} is an option of {analysis.name}, and no axis: run(jaxnh.{name}({key}=...))")
 
-    def _plan_for(
-        self, experiment: Experiment, axes: tuple[Axis, ...], find: Callable[..., Plan] = find_plan
-    ) -> Plan:
+    def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...], find: Callable[..., Plan] = find_plan) -> Plan:
         """The plan of a sweep that has these lanes, found if there is none yet."""
         requested = experiment.requested()
         drawn = frozenset(start_samplers(requested))
