@@ -98,7 +98,7 @@ def _read(path: Path) -> str:
 
 
 def place_of(message: str, files: EditedFiles) -> tuple[Path, int, str]:
-    """The file and the line that a message names, and what is wrong; the first line of the config where it names none."""
+    """The file and the line that a message names, or the first of the config, and what is wrong."""
     for path in files.texts:
         if message.startswith(f"{path}:") and (at := _LINE.match(message[len(str(path)) :])):
             return path, int(at.group(1)), at.group(2)

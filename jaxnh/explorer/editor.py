@@ -60,7 +60,7 @@ class Editor:
             path: pn.pane.HTML(_gutter(text, 0), stylesheets=[CSS], width=_NUMBERS, margin=(0, 0))
             for path, text in state.texts.items()
         }
-        self._wrong = {path: pn.pane.HTML("", stylesheets=[CSS], width=_NARROW, margin=(5, 0)) for path in self._areas}
+        self._wrong = {path: pn.pane.HTML("", stylesheets=[CSS], width=_NARROW, margin=(8, 0)) for path in self._areas}
         for path, area in self._areas.items():
             area.param.watch(lambda event, path=path: self._typed(path, str(event.new)), "value_input")
         self._said = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")

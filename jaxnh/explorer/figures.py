@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from bokeh.models import (
     BasicTicker,
@@ -97,8 +98,7 @@ class Drawing:
     @property
     def scale(self) -> Scale:
         """The ranges that are seen, and their size in pixels."""
-        drawn = self.figure
-        width = drawn.inner_width or _NARROWEST
-        height = drawn.inner_height or drawn.frame_height
-        ends = ((drawn.x_range.start, drawn.x_range.end), (drawn.y_range.start, drawn.y_range.end))
-        return Scale(*ends, float(width), float(height))
+        drawn: Any = self.figure
+        width, height = drawn.inner_width or _NARROWEST, drawn.inner_height or drawn.frame_height
+        across, up = ((ends.start, ends.end) for ends in (drawn.x_range, drawn.y_range))
+        return Scale(across, up, float(width), float(height))

@@ -18,7 +18,7 @@ from jaxnh.explorer.source import PictureSource
 from jaxnh.storage.hdf5 import open_result
 
 
-class Opened(NamedTuple):
+class PageContent(NamedTuple):
     """A source of pictures and what its page begins with.
 
     Attributes:
@@ -36,7 +36,7 @@ class Opened(NamedTuple):
 
 def open_file(
     path: Path, content: Config | None, overrides: Sequence[str], over: Sequence[Path], progress: Progress, columns: int
-) -> Opened:
+) -> PageContent:
     """Open a config, or where there is none a result file.
 
     Args:
@@ -58,17 +58,17 @@ def open_file(
     saved = saved.with_files(str(result.resolve()) if shown else "", [str(file.resolve()) for file in files])
     if content is None or shown:
         source = open_recording(result)
-        return Opened(source, checked(saved, source, path), (source.overlays, *more))
+        return PageContent(source, checked(saved, source, path), (source.overlays, *more))
     # Imports JAX, for a second.
     from jaxnh.cli.experiments import experiment_of
     from jaxnh.explorer.live import live
 
     experiment = experiment_of(content)
     source = live(experiment, progress, columns)
-    return Opened(source, checked(saved, source, path), more, edited_files(content, overrides))
+    return PageContent(source, checked(saved, source, path), more, edited_files(content, overrides))
 
 
-def open_texts(opened: Opened, texts: dict[Path, str], progress: Progress, columns: int) -> Opened:
+def open_texts(opened: PageContent, texts: dict[Path, str], progress: Progress, columns: int) -> PageContent:
     """Open edited texts of the files of a config, with the results that were laid over it.
 
     Args:
@@ -87,7 +87,7 @@ def open_texts(opened: Opened, texts: dict[Path, str], progress: Progress, colum
     return opened._replace(source=source, saved=SavedView(over=opened.saved.over))
 
 
-def keeping(opened: Opened, before: PictureSource, seen: SavedView) -> Opened:
+def keeping(opened: PageContent, before: PictureSource, seen: SavedView) -> PageContent:
     """The same with what was seen before, where the axes, their ranges and the quantity are still there."""
     source = opened.source
     same = source.first.ranges == before.first.ranges and source.first.axis == before.first.axis

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.models import ColumnDataSource, GlyphRenderer, Legend, LegendItem, MultiLine, Scatter, Text, VStrip
 from bokeh.plotting import figure
 
@@ -37,8 +38,9 @@ class LayerDrawing:
         self.hidden = set(hidden)
         self._renderers: list[list[GlyphRenderer]] = []
         self._legend = Legend(
-            items=[], click_policy="hide", ncols=_ENTRIES, visible=False, border_line_alpha=0.0, padding=2, location="left",
-            label_text_font_size="12px", inactive_fill_color="white", inactive_fill_alpha=0.75, spacing=12,
+            items=[], click_policy="hide", ncols=_ENTRIES, visible=False, border_line_alpha=0.0,
+            location="left", label_text_font_size="12px",
+            inactive_fill_color="white", inactive_fill_alpha=0.75, spacing=12,
         )  # fmt: skip
         drawn.add_layout(self._legend, "above")
 
@@ -64,7 +66,7 @@ class LayerDrawing:
             else:
                 data = {name: [float(item.x[k]) for item in layer.items] for k, name in enumerate(("x0", "x1"))}
             for each in renderers:
-                each.data_source.data = data
+                each.data_source.update(data=data)
 
     def hit(self, x: float, y: float, scale: Scale) -> Hit | None:
         """Return what is clicked at, of the layers that are switched on."""
@@ -81,7 +83,7 @@ class LayerDrawing:
             *hollow, marker = layer.mark.split()
             fill = "white" if hollow else layer.colour
             glyphs = [Scatter(x="x", y="y", size=_SIZE, marker=marker, fill_color=fill, line_color=layer.colour)]
-            glyphs += [Text(x="x", y="y", text={"value": layer.label}, **_EDGE)] if layer.label else []
+            glyphs += [Text(x="x", y="y", text=value(layer.label), **_EDGE)] if layer.label else []
         else:
             source = ColumnDataSource({"x0": [], "x1": []})
             glyphs = [VStrip(x0="x0", x1="x1", fill_color=layer.colour, fill_alpha=0.35, line_alpha=0.0)]

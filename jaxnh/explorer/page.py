@@ -22,7 +22,7 @@ from jaxnh.explorer.editor import Editor, EditorState
 from jaxnh.explorer.figures import Drawing
 from jaxnh.explorer.key import key_html
 from jaxnh.explorer.layers import Hit, Layer
-from jaxnh.explorer.opening import Opened, keeping
+from jaxnh.explorer.opening import PageContent, keeping
 from jaxnh.explorer.overlay_figure import LayerDrawing
 from jaxnh.explorer.overlays import layers_of
 from jaxnh.explorer.page_scripts import KEYBOARD, KEYS, LOST
@@ -40,7 +40,7 @@ _SILENT = 0.4  # share of a pass between two words of progress
 _QUICK = 1.5  # seconds that a picture may take without a word of what is being done
 _REFUSED = "files are edited on the loopback alone: start jaxnh explore without --address, on this machine"
 
-Run = Callable[[dict[Path, str]], Opened]
+Run = Callable[[dict[Path, str]], PageContent]
 """What opens edited texts anew; raises `JaxnhError`."""
 
 
@@ -49,11 +49,11 @@ class Page:
 
     def __init__(
         self,
-        opened: Opened,
+        opened: PageContent,
         worker: Worker,
         document: Document,
         query: Mapping[str, str],
-        reopen: Callable[[Opened, EditorState], None],
+        reopen: Callable[[PageContent, EditorState], None],
         editor: EditorState | None = None,
         run: Run | None = None,
     ) -> None:

@@ -14,7 +14,7 @@ table.lane td:first-child { color: #666; white-space: nowrap; }
 .key i { display: inline-block; width: 13px; height: 13px; margin-right: 5px; vertical-align: -2px; }
 .scale { width: 360px; }
 .scale .bar { height: 12px; }
-.gutter { text-align: right; color: #888; font: 13px/18px ui-monospace, monospace; padding: 5px 4px 0 0; }
+.gutter { text-align: right; color: #888; font: 13px/18px ui-monospace, monospace; padding: 8px 4px 0 0; }
 .gutter { white-space: pre; }
 .gutter b { background: #a4000f; color: white; }
 .wrong { position: relative; font: 13px/18px sans-serif; color: #a4000f; }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -63,9 +64,15 @@ class Portrait:
         self._make_space()
 
     def _make_space(self) -> None:
-        ranges = {f"{axis}_range": Range1d(-1.9, 1.9) for axis in "xy"}
+        across, up = (Range1d(start=-1.9, end=1.9) for _ in range(2))
         self.space = figure(
-            tools="wheel_zoom,reset", active_scroll="wheel_zoom", height=_SPACE, width=_SPACE, name="space", **ranges
+            tools="wheel_zoom,reset",
+            active_scroll="wheel_zoom",
+            height=_SPACE,
+            width=_SPACE,
+            name="space",
+            x_range=across,
+            y_range=up,
         )
         self.space.toolbar.logo = None
         self.space.axis.visible = False
@@ -76,9 +83,9 @@ class Portrait:
         self._steps = ColumnDataSource({name: [] for name in (*starts, *ends)})
         self._dots = ColumnDataSource({name: [] for name in starts})
         self._names = ColumnDataSource({name: [] for name in (*starts, "text")})
-        segment = {"x0": "x", "y0": "y", "x1": "x1", "y1": "y1"}
-        self.space.segment(**segment, source=self._edges, line_color="#888888")
-        self.space.segment(**segment, source=self._steps, line_color="#4a6a8a", line_alpha="alpha")
+        segment = "x", "y", "x1", "y1"
+        self.space.segment(*segment, source=self._edges, line_color="#888888")
+        self.space.segment(*segment, source=self._steps, line_color="#4a6a8a", line_alpha="alpha")
         self.space.scatter("x", "y", source=self._dots, color=POINT, size=4, alpha="alpha")
         self.space.text("x", "y", text="text", source=self._names, text_font_size="12px", text_align="center")
         sources = [self._edges, self._steps, self._dots, self._names]
@@ -141,7 +148,7 @@ class Portrait:
         corner = np.repeat(_CORNERS[:1].T, 3, axis=1)
         self._edges.data = _columns(corner, _CORNERS[1:].T)
         places, words = _edge_words([self._titles[name] for name in names], low, low + size)
-        self._names.data = _columns(places) | {"text": words}
+        self._names.data = {**_columns(places), "text": words}
         self._names.tags = [*names, len(self._names.tags) % 2]  # the browser projects them
 
 
@@ -157,7 +164,7 @@ def _edge_words(titles: Sequence[str], low: np.ndarray, high: np.ndarray) -> tup
     return np.array(places).T, words
 
 
-def _columns(start: np.ndarray, end: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def _columns(start: np.ndarray, end: np.ndarray | None = None) -> dict[str, Any]:
     columns = dict(zip("uvw", start, strict=True)) | {name: np.zeros(start.shape[1]) for name in ("x", "y", "alpha")}
     if end is not None:
         columns |= {f"{name}1": values for name, values in zip("uvw", end, strict=True)}

@@ -52,7 +52,8 @@ class PortraitPane:
         """Angles of the portrait in space, in degrees; None where the plane is shown."""
         if self._in.value == _PLANE:
             return None
-        return {name: float(values[0]) for name, values in self.camera.data.items()}
+        data: Any = self.camera.data
+        return {str(name): float(values[0]) for name, values in data.items()}
 
     def show(self, report: LaneReport) -> None:
         """Draw a report, where it has a trajectory or points."""

@@ -58,8 +58,9 @@ def saved_view(block: ExploreBlock | None) -> SavedView:
     if block is None:
         return SavedView()
     words = {name: value if isinstance(value, str) else repr(value) for name, value in block.view.items()}
-    lists = {"hidden": tuple(block.hidden), "over": tuple(block.over)}
-    return SavedView(words, block.whole, block.selected, result=block.result or "", camera=block.camera, **lists)
+    camera = {str(name): angle for name, angle in block.camera.items()} if block.camera else None
+    lists = tuple(block.hidden), tuple(block.over)
+    return SavedView(words, block.whole, block.selected, *lists, block.result or "", camera)
 
 
 def yaml_of(config: str, view: View, saved: SavedView) -> str:

@@ -17,7 +17,7 @@ from tornado.web import RequestHandler
 
 from jaxnh.exceptions import ArgumentError
 from jaxnh.explorer.editor import EditorState
-from jaxnh.explorer.opening import Opened
+from jaxnh.explorer.opening import PageContent
 from jaxnh.explorer.page import Page, Run
 from jaxnh.explorer.worker import Worker
 
@@ -87,7 +87,9 @@ class TokenAuth(AuthProvider):
         return None
 
 
-def make_server(opened: Opened, worker: Worker, address: str, port: int, run: Run | None = None) -> tuple[Server, str]:
+def make_server(
+    opened: PageContent, worker: Worker, address: str, port: int, run: Run | None = None
+) -> tuple[Server, str]:
     """The server, listening but not yet started, and the address of its page.
 
     Args:
@@ -108,14 +110,14 @@ def make_server(opened: Opened, worker: Worker, address: str, port: int, run: Ru
         query = {key: values[0].decode() for key, values in pn.state.session_args.items() if key != "token"}
         holder, pages = pn.Column(sizing_mode="stretch_width"), list[Page]()
 
-        def show(opened: Opened, editor: EditorState | None) -> Page:
+        def show(opened: PageContent, editor: EditorState | None) -> Page:
             for old in pages:
                 old.end()
             pages[:] = [Page(opened, worker, document, {} if editor else query, reopen, editor, run)]
             holder.objects = [pages[0].layout()]
             return pages[0]
 
-        def reopen(opened: Opened, editor: EditorState) -> None:
+        def reopen(opened: PageContent, editor: EditorState) -> None:
             show(opened, editor).begin()
 
         show(opened, None)
