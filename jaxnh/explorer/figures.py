@@ -9,6 +9,7 @@ from bokeh.models import (
     BasicTicker,
     BoxZoomTool,
     ColumnDataSource,
+    CustomJS,
     CustomJSTickFormatter,
     ImageRGBA,
     PanTool,
@@ -80,6 +81,10 @@ class Drawing:
         bottom, top = view.window or (low, high)
         self.figure.y_range.update(start=bottom, end=top)
         self._cells.data = {"image": [cells], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
+
+    def run_with_pictures(self, script: CustomJS) -> None:
+        """Run a script in the browser where a picture is shown: a page that replaces another one has no other event."""
+        self._cells.js_on_change("data", script)
 
     def name(self, y_label: str) -> None:
         """Set the label of the vertical axis."""

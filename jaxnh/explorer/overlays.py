@@ -129,7 +129,7 @@ def _of_doublings(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
 
     def facts(level: int, k: int) -> Facts:
         period = f"period {int(data['period'].to_numpy().ravel()[level])}" if data["period"].ndim == 1 else ""
-        where = [(across, _number(data, across, (level, k))), (up, f"{y[k]!r}")]
+        where = [(across, _number(data, across, (level, k))), (up, repr(float(y[k])))]
         return [("period doubling", period or f"number {level + 1}"), *where]
 
     x = data[across].to_numpy()
@@ -149,7 +149,7 @@ def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
     def facts(b: int, k: int) -> Facts:
         words = f"{_period(period[b])}, {'stable' if stable[b, k] else 'unstable'}"
         residual = [("residual", f"{float(data['residual'][b, k]):.1g}")] if "residual" in data else []
-        return [("branch", words), (across, f"{x[b, k]!r}"), *_multipliers(data, (b, k)), *residual]
+        return [("branch", words), (across, repr(float(x[b, k]))), *_multipliers(data, (b, k)), *residual]
 
     periods = np.unique(period).tolist()
     for n in periods:
@@ -222,7 +222,7 @@ def _of_orbits(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
     x = data[names[0]].to_numpy() if plane else np.broadcast_to(np.reshape(values, (-1, 1, 1)), y.shape)
 
     def facts(at: tuple[int, ...], _: int) -> Facts:
-        where = [] if plane else [(across, f"{values[at[0]]!r}")]
+        where = [] if plane else [(across, repr(values[at[0]]))]
         numbers = [("time", _number(data, "time", at))] if "time" in data else []
         return [
             ("orbit", f"period {period[at]}, {_word(data['stability'], *at)}"),

@@ -86,7 +86,7 @@ class Page:
         self._make_widgets(first)
         document.js_on_event("connection_lost", CustomJS(code=LOST))
         known = {"pressed": self._drawing.figure, "camera": self._portrait.camera, "pan": self._drawing.pan}
-        document.js_on_event("document_ready", CustomJS(args={**known, "keys": KEYS}, code=KEYBOARD))
+        self._drawing.run_with_pictures(CustomJS(args={**known, "keys": KEYS}, code=KEYBOARD))
 
     def _first(self, query: Mapping[str, str]) -> tuple[View, str]:
         """The view that is shown first, and why an address names none."""

@@ -25,8 +25,11 @@ KEYS = [
 """Keys of the page, and what they do."""
 
 KEYBOARD = """
-if (window.jaxnh_keys) return
-window.jaxnh_keys = true
+const known = window.jaxnh_page
+if (known && known.pressed === pressed) return
+window.jaxnh_page = {pressed, camera}
+if (window.matchMedia("(pointer: coarse)").matches) pan.active = true
+if (known) return
 const toggle = (show) => {
   let box = document.getElementById("keys")
   if (box) { box.remove(); if (!show) return true }
@@ -61,6 +64,7 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault()
   if (event.key == "?") return toggle(!document.getElementById("keys"))
   if (event.key == "Escape" && toggle(false)) return
+  const {pressed, camera} = window.jaxnh_page
   if (event.shiftKey && event.key.startsWith("Arrow")) {
     const turn = {ArrowLeft: [-5, 0], ArrowRight: [5, 0], ArrowUp: [0, 5], ArrowDown: [0, -5]}[event.key]
     const old = camera.data
@@ -71,9 +75,8 @@ document.addEventListener("keydown", (event) => {
   count += 1
   pressed.tags = [event.key, count]
 })
-if (window.matchMedia("(pointer: coarse)").matches) pan.active = true
 """
-"""Run once a page; `keys` are words of the help, `pressed` is told of a key, `pan` drags on touch screens."""
+"""Run where a picture is shown; `keys` are words of the help, `pressed` is told of a key, `pan` drags on touch screens."""
 
 TURNED = """
 const [azimuth, elevation] = [camera.data.azimuth[0], camera.data.elevation[0]].map((angle) => angle * Math.PI / 180)

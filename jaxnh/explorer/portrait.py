@@ -23,6 +23,7 @@ _HEIGHT, _SPACE = 380, 460  # pixels
 _CAMERA = {"azimuth": -60.0, "elevation": 25.0}
 _CORNERS = np.array([[-1, -1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)  # three edges of the box meet in one
 _DIGITS = 4
+_FEW = 64  # points that get large marks
 
 Coordinates = Mapping[str, np.ndarray]
 """Numbers by coordinate."""
@@ -56,7 +57,9 @@ class Portrait:
             ColumnDataSource({"x": [], "y": []}),
         )
         self.plane.line("x", "y", source=self._plane_path, color=LINE, line_width=1, legend_label="trajectory")
-        self.plane.scatter("x", "y", source=self._plane_points, color=POINT, size=3, legend_label="points")
+        self._marks = self.plane.scatter(
+            "x", "y", source=self._plane_points, color=POINT, size=3, legend_label="points"
+        )
         [legend] = self.plane.legend
         legend.update(orientation="horizontal", border_line_alpha=0.0, padding=0)
         self.plane.add_layout(legend, "above")  # off the data
@@ -116,6 +119,8 @@ class Portrait:
     def _draw(self, path: Coordinates, points: Coordinates, titles: dict[str, str], plane: Sequence[str]) -> None:
         self._path, self._points, self._titles = dict(path), dict(points), titles
         self.names = tuple(dict.fromkeys((*plane[:2], *titles)))
+        few = max(map(len, points.values()), default=0) <= _FEW
+        self._marks.glyph.update(size=7 if few else 3)
         self.choose(self.names)
 
     def choose(self, names: Sequence[str]) -> None:
@@ -156,7 +161,7 @@ def _edge_words(titles: Sequence[str], low: np.ndarray, high: np.ndarray) -> tup
     """Places (3, n) and words along the edges of the box: the coordinate with its range."""
     places, words = [], list[str]()
     for k, title in enumerate(titles):
-        for share, text in ((0.0, title), (-0.9, f"{low[k]:.{_DIGITS}g}"), (0.9, f"{high[k]:.{_DIGITS}g}")):
+        for share, text in ((0.0, title), (-0.75, f"{low[k]:.{_DIGITS}g}"), (0.95, f"{high[k]:.{_DIGITS}g}")):
             place = np.full(3, -1.12)
             place[k] = share
             places.append(place)

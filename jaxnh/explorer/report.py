@@ -65,7 +65,7 @@ def _period(data: xr.Dataset) -> Iterator[tuple[str, str]]:
         yield "least period", f"failed: {_flag(data['status'])}"
         return
     n = int(data["period"])
-    yield "least period", f"{n}" if n else f"none up to {data.attrs.get('limit', '?')}"
+    yield "least period", f"{n}" if n else f"none up to {data.attrs.get('max_period', '?')}"
     if n:
         yield "largest multiplier", f"{float(data['multiplier']):.6g}"
 
