@@ -76,7 +76,7 @@ document.addEventListener("keydown", (event) => {
   pressed.tags = [event.key, count]
 })
 """
-"""Run where a picture is shown; `keys` are words of the help, `pressed` is told of a key, `pan` drags on touch screens."""
+"""Run where a picture is shown: `keys` are words of the help, `pressed` is told of a key, `pan` drags on touch."""
 
 TURNED = """
 const [azimuth, elevation] = [camera.data.azimuth[0], camera.data.elevation[0]].map((angle) => angle * Math.PI / 180)

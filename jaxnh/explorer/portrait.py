@@ -46,6 +46,7 @@ class Portrait:
             camera: azimuth and elevation in degrees.
         """
         self._titles: dict[str, str] = {}
+        self._filled = 0  # times that there were other points in space
         self._path, self._points = dict[str, np.ndarray](), dict[str, np.ndarray]()
         self.names: tuple[str, ...] = ()
         self.plane = figure(
@@ -154,7 +155,8 @@ class Portrait:
         self._edges.data = _columns(corner, _CORNERS[1:].T)
         places, words = _edge_words([self._titles[name] for name in names], low, low + size)
         self._names.data = {**_columns(places), "text": words}
-        self._names.tags = [*names, len(self._names.tags) % 2]  # the browser projects them
+        self._filled += 1
+        self._names.tags = [self._filled]  # the browser projects them
 
 
 def _edge_words(titles: Sequence[str], low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, list[str]]:

@@ -323,6 +323,81 @@ def test_curves_are_laid_over_told_by_a_click_and_moved_by_keys(tab, tmp_path):
         assert ended(process) == 0
 
 
+@pytest.fixture(scope="module")
+def spiral(tmp_path_factory):
+    """A result whose lanes have a portrait of four coordinates."""
+    b = np.linspace(1.0, 6.0, 5)
+    portrait = states(b, 64, "time", "trajectories")
+    path = tmp_path_factory.mktemp("explore") / "page.h5"
+    process, found = started(write(path, tree({"diagram": states(b, 8), "portrait": portrait})))
+    yield found
+    assert ended(process) == 0
+
+
+def steps(page):
+    """Ends of the steps of the portrait in space, as the browser has projected them."""
+    return page.evaluate("""() => [...Bokeh.documents[0].get_model_by_name("space").renderers[1].data_source.data.x]""")
+
+
+def test_a_portrait_is_turned_in_space_by_a_drag_and_by_keys(tab, spiral):
+    """A turn of the camera by an angle moves points across by what cos and sin say: their length stays."""
+    page = tab(spiral)
+    page.get_by_text("5 values", exact=True).wait_for()
+    page.wait_for_timeout(500)
+    click(page, 0.5, 0.5)
+    page.get_by_role("button", name="space").click()
+    page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('space').renderers[1].data_source.data.x?.[0]")
+    page.wait_for_timeout(500)
+    source = "Bokeh.documents[0].get_model_by_name('space').renderers[1].data_source"
+    u, v = (np.array(page.evaluate(f"() => [...{source}.data.{name}]")) for name in "uv")
+    angle = np.deg2rad(-60.0)
+    assert np.allclose(steps(page), -np.sin(angle) * u + np.cos(angle) * v)
+    page.keyboard.press("Shift+ArrowRight")
+    angle = np.deg2rad(-55.0)
+    assert np.allclose(steps(page), -np.sin(angle) * u + np.cos(angle) * v)
+    box = page.locator(".bk-Figure").last.bounding_box()
+    before = steps(page)
+    page.mouse.move(box["x"] + 200, box["y"] + 200)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 260, box["y"] + 220, steps=4)
+    page.mouse.up()
+    page.wait_for_timeout(500)
+    assert not np.allclose(steps(page), before)
+    shot(page, "space")
+
+
+def test_a_touch_pans_and_two_fingers_zoom(browser, spiral):
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, has_touch=True, is_mobile=True)
+    context.set_default_timeout(PATIENCE)
+    page = context.new_page()
+    page.goto(spiral)
+    page.get_by_text("5 values", exact=True).wait_for()
+    page.wait_for_timeout(500)
+    fingers = context.new_cdp_session(page)
+    box = page.locator(".bk-Figure").first.bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+
+    def touch(*paths):
+        """Fingers along straight lines from one place to another."""
+        for kind, share in (("touchStart", 0.0), *(("touchMove", k / 5) for k in range(1, 6)), ("touchEnd", None)):
+            at = [] if share is None else [(a + share * (c - a), b + share * (d - b)) for (a, b), (c, d) in paths]
+            points = [{"x": across, "y": up, "id": k} for k, (across, up) in enumerate(at)]
+            fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch(((x, y), (x - 200, y)))
+    page.wait_for_function("() => !location.search.includes('low=1.0')")
+    low, high = view(page)
+    assert low > 1.5
+    assert high - low == pytest.approx(5.0)
+    touch(((x - 30, y), (x - 150, y)), ((x + 30, y), (x + 150, y)))
+    page.wait_for_function(
+        "before => location.search != before", arg=urlsplit(page.url).query and "?" + urlsplit(page.url).query
+    )
+    low, high = view(page)
+    assert high - low < 4.0
+    context.close()
+
+
 MAP = """\
 def system(r=3.2):
     def image(y):
@@ -340,6 +415,7 @@ analyses: {diagram: {transient: 64, strobes: 8}}
 """
 
 
+@pytest.mark.slow  # two servers and six pictures; `test_edited_files` and `test_saved_view` are quick
 def test_files_are_edited_run_and_saved_and_the_view_is_kept(tab, tmp_path):
     config, system = tmp_path / "own.yaml", tmp_path / "own.py"
     config.write_text(MAP_CONFIG)
