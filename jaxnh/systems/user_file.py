@@ -189,7 +189,7 @@ class UserFile:
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
-        at = tuple((name, float(value)) for name, value in parameters.items())
+        at = tuple((name, float(np.asarray(value))) for name, value in parameters.items())
         if at not in self._periods:  # sweeps ask for the same ones again and again
             self._periods[at] = unit_of_time(self.define(**parameters))
         return self._periods[at]
