@@ -327,3 +327,28 @@ class PublishedValues(Block):
     def columns(self) -> dict[str, np.ndarray]:
         """Variable name to its published values, each float64 of shape (n,)."""
         return {name: np.array(column, dtype=np.float64) for name, column in self.__pydantic_extra__.items()}
+
+
+class ExploreBlock(Block):
+    """The view that the page of `jaxnh explore` opens with; no number of a run depends on it."""
+
+    view: dict[str, int | float | str] = Field(
+        default_factory=dict,
+        description="Axes with their ranges, the quantity, and its depth, as in the page's address",
+    )
+    whole: dict[str, tuple[float, float]] = Field(
+        default_factory=dict, description="Range of each axis that the page goes back to"
+    )
+    selected: dict[str, float] | None = Field(default=None, description="Values of the axes of the lane clicked at")
+    hidden: list[str] = Field(default_factory=list, description="Layers of the legend that are switched off")
+    over: list[str] = Field(default_factory=list, description="Result files laid over the picture, beside this file")
+    result: str | None = Field(default=None, description="Result file that is shown in place of computing")
+    camera: dict[Literal["azimuth", "elevation"], float] | None = Field(
+        default=None, description="Angles in degrees of the portrait in three dimensions, where that is shown"
+    )
+
+    @field_validator("whole", mode="before")
+    @classmethod
+    def _as_pairs(cls, whole: Any) -> Any:
+        pairs = isinstance(whole, dict) and all(isinstance(ends, list) for ends in whole.values())
+        return {name: tuple(ends) for name, ends in whole.items()} if pairs else whole

@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationError, field_vali
 
 from jaxnh.analyses.options import OPTIONS
 from jaxnh.analyses.options.base import Block, rule
-from jaxnh.config.blocks import Accuracy, Analyses, Levels, PublishedValues, SystemBlock
+from jaxnh.config.blocks import Accuracy, Analyses, ExploreBlock, Levels, PublishedValues, SystemBlock
 from jaxnh.config.fitting import check_accuracy, check_map_accuracy
 from jaxnh.config.layout import layout
 from jaxnh.config.messages import Layout, close_match, first_fault
@@ -52,6 +52,7 @@ class Config(Block):
     compare: dict[str, PublishedValues] | None = Field(
         default=None, description="Published values to show beside ours: name of the analysis to source and numbers"
     )
+    explore: ExploreBlock | None = Field(default=None, description="The view that jaxnh explore opens with")
 
     _source: ConfigSource = PrivateAttr()
 

@@ -83,16 +83,30 @@ def read(path: Path, overrides: Sequence[str] = ()) -> ConfigSource:
     Raises:
         ConfigError: no such file, not UTF-8 YAML, not a mapping at the top level, an override that cannot be applied.
     """
-    return _of_text(_decode(path), path, overrides)
+    return from_text(_decode(path), path, overrides)
 
 
-def from_text(text: str) -> ConfigSource:
-    """The text of a config file as a source, without a file.
+def from_text(text: str, path: Path | None = None, overrides: Sequence[str] = ()) -> ConfigSource:
+    """The text of a config file as a source, with KEY=VALUE overrides applied to it.
+
+    Args:
+        path: the file that it stands for, which is not read; None: messages name none.
 
     Raises:
-        ConfigError: not YAML, not a mapping at the top level.
+        ConfigError: not YAML, not a mapping at the top level, an override that cannot be applied.
     """
-    return _of_text(text, None, ())
+    try:
+        positions, tree = scan(text), parse(text)
+        if tree is None:
+            raise Fault("the file is empty; system, sweep and analyses are needed", line=1)
+        if not isinstance(tree, CommentedMap):
+            raise Fault("the top level must be a mapping of keys to values", line=positions[()][0])
+        plain(tree)  # here only for its faults, which have lines as long as no override has touched the tree
+    except Fault as fault:
+        raise _config_error(f"{path or _NAMELESS}:{fault.line}", fault.key, fault.message) from None
+    roots = [_override(tree, override, "command line") for override in overrides]
+    _drop_nulls(tree, roots, positions)
+    return ConfigSource(path, plain(tree), positions, roots, True, None if overrides else text, tree)
 
 
 def from_dict(content: Mapping[str, Any], overrides: Sequence[str] = ()) -> ConfigSource:
@@ -111,21 +125,6 @@ def from_dict(content: Mapping[str, Any], overrides: Sequence[str] = ()) -> Conf
     roots = [_override(tree, override, _NAMELESS) for override in overrides]
     _drop_nulls(tree, roots, positions)
     return ConfigSource(None, plain(tree), positions, roots, False, None, tree)
-
-
-def _of_text(text: str, path: Path | None, overrides: Sequence[str]) -> ConfigSource:
-    try:
-        positions, tree = scan(text), parse(text)
-        if tree is None:
-            raise Fault("the file is empty; system, sweep and analyses are needed", line=1)
-        if not isinstance(tree, CommentedMap):
-            raise Fault("the top level must be a mapping of keys to values", line=positions[()][0])
-        plain(tree)  # here only for its faults, which have lines as long as no override has touched the tree
-    except Fault as fault:
-        raise _config_error(f"{path or _NAMELESS}:{fault.line}", fault.key, fault.message) from None
-    roots = [_override(tree, override, "command line") for override in overrides]
-    _drop_nulls(tree, roots, positions)
-    return ConfigSource(path, plain(tree), positions, roots, True, None if overrides else text, tree)
 
 
 def _config_error(where: str, key: KeyPath | str, message: str) -> ConfigError:

@@ -132,7 +132,7 @@ class Experiment(Config):
         Raises:
             ConfigError: one line, `experiment: KEY: what is wrong`.
         """
-        content = {"initial": {}, **without_values(self._data("compare", "levels"), axes)}
+        content = {"initial": {}, **without_values(self._data("compare", "explore", "levels"), axes)}
         grids = {name: _grid(values) for name, values in axes.items()}
         filler = self._filler if not grids else ""
         own = {name: grid for name, grid in content["sweep"].items() if filler or name != self._filler}
@@ -287,8 +287,8 @@ class Experiment(Config):
         """Hash, in hex, of what decides the numbers.
 
         It is taken of the validated content in canonical JSON, so that formatting, comments, the order of keys and
-        defaults written out do not change it; the order of the axes, where there are some, does. Nor do `title` and
-        `compare`, which change no number.
+        defaults written out do not change it; the order of the axes, where there are some, does. Nor do `title`,
+        `compare` and `explore`, which change no number.
         """
         content = self._content()
         if len(names := tuple(self.sweep.grids)) > 1:
@@ -300,7 +300,7 @@ class Experiment(Config):
 
     def _content(self) -> dict[str, Any]:
         """Everything that decides the numbers, defaults written out."""
-        return self.model_dump(mode="json", exclude={"title", "compare"}, exclude_none=True)
+        return self.model_dump(mode="json", exclude={"title", "compare", "explore"}, exclude_none=True)
 
 
 class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -111,6 +111,22 @@ def find_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor,
         return plan_of(experiment, axes, calibration, requested)
 
 
+def find_or_keep_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor, requested: Requested) -> Plan:
+    """The plan of `find_plan`, kept for later sessions of the same experiment; it is the same bit for bit.
+
+    Raises:
+        AccuracyError: as of `find_plan`.
+    """
+    name = calibrations.name_of(experiment, lanes.devices, lanes.tile, "plan of a session")
+    if kept := calibrations.find(name):
+        lanes.accounts.fastest = min(lanes.accounts.fastest, kept.fastest)
+        return solver_plan(kept.plan)
+    plan = find_plan(experiment, axes, lanes, requested)
+    if experiment.flow().continuous:
+        calibrations.keep(name, Decision(numerical_plan(plan, {}), lanes.accounts.fastest))
+    return plan
+
+
 def plan_of(
     experiment: Experiment, axes: Sequence[Axis], calibration: Calibration, requested: Requested | None = None
 ) -> Plan:

@@ -28,6 +28,7 @@ from jaxnh.engine.levels.levels import Level, axes_of, level_of
 from jaxnh.engine.plan import (
     choose,
     count_warnings,
+    find_or_keep_plan,
     find_plan,
     in_quickest_form,
     is_short,
@@ -136,7 +137,7 @@ class Session:
         Raises:
             AccuracyError: nothing meets the target.
         """
-        return self._plan_for(self.experiment, self.experiment.axes)
+        return self._plan_for(self.experiment, self.experiment.axes, find_or_keep_plan)
 
     def on(
         self,
@@ -259,8 +260,8 @@ class Session:
             if key in analysis.options.model_fields and key not in self._base.sweep.known:
                 raise InputError(f"{key} is an option of {analysis.name}, and no axis: run(jaxnh.{name}({key}=...))")
 
-    def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...]) -> Plan:
-        """The plan of a sweep that has these lanes, calibrated if there is none yet."""
+    def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...], find: Callable[..., Plan] = find_plan) -> Plan:
+        """The plan of a sweep that has these lanes, found if there is none yet."""
         requested = experiment.requested()
         drawn = frozenset(start_samplers(requested))
         for known, sectioned, starts, short, plan in self._plans:
@@ -271,7 +272,7 @@ class Session:
                 return plan
         if _within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes
-        plan = find_plan(experiment, axes, self._lanes, requested)
+        plan = find(experiment, axes, self._lanes, requested)
         short = is_short(experiment, axes, plan, requested)
         self._plans.append((axes, experiment.sectioned, drawn, short, plan))
         return plan

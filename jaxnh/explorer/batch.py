@@ -29,7 +29,7 @@ def with_sweep(content: Content, grids: Mapping[str, Any], analyses: Mapping[str
     Args:
         grids: name to start, stop and count, or values.
     """
-    config = {key: value for key, value in content.items() if key not in ("compare", "levels", "title")}
+    config = {key: value for key, value in content.items() if key not in ("compare", "explore", "levels", "title")}
     config = without_values(config, grids)
     return {**config, "sweep": dict(grids), "analyses": dict(analyses)}
 

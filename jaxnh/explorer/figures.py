@@ -1,30 +1,29 @@
-"""Bokeh figures of the page: a view as an image, and the portrait of a lane."""
+"""The Bokeh figure of a view as an image."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import Any
 
-import numpy as np
-import xarray as xr
 from bokeh.models import (
     BasicTicker,
     BoxZoomTool,
     ColumnDataSource,
+    CustomJS,
     CustomJSTickFormatter,
     ImageRGBA,
+    PanTool,
     Range1d,
     Span,
 )
 from bokeh.plotting import figure
 
+from jaxnh.explorer.layers import Scale
 from jaxnh.explorer.raster import ROWS
-from jaxnh.explorer.source import LaneReport, Picture, axis_title
+from jaxnh.explorer.source import Picture
 from jaxnh.explorer.view import View
-from jaxnh.plotting.descriptions import describe
-from jaxnh.plotting.groups import variables_of
-from jaxnh.plotting.style import LINE, MARK, POINT
+from jaxnh.plotting.style import MARK
 
-_MOST_POINTS = 1 << 14
 _PLANE_HEIGHT = 560  # pixels
 _NARROWEST = 960  # pixels: with the controls beside it, it is whole in a window of 1280
 
@@ -41,6 +40,7 @@ class Drawing:
 
     Attributes:
         figure: of Bokeh.
+        pan: its tool that moves the view.
     """
 
     def __init__(self, view: View, x_label: str, y_label: str) -> None:
@@ -49,7 +49,7 @@ class Drawing:
         self.figure = figure(
             x_range=Range1d(start=view.low, end=view.high),
             y_range=Range1d(start=bottom, end=top),
-            tools="pan,wheel_zoom,tap",
+            tools="wheel_zoom",
             active_scroll="wheel_zoom",
             sizing_mode="stretch_width",
             min_width=_NARROWEST,
@@ -60,8 +60,8 @@ class Drawing:
             toolbar_location="right",
             name="view",
         )
-        box = BoxZoomTool()
-        self.figure.add_tools(box)
+        box, self.pan = BoxZoomTool(), PanTool()
+        self.figure.add_tools(self.pan, box)
         self.figure.toolbar.active_drag = box
         self.figure.toolbar.logo = None
         self.figure.add_glyph(self._cells, ImageRGBA(image="image", x="x", y="y", dw="dw", dh="dh"))
@@ -82,6 +82,10 @@ class Drawing:
         self.figure.y_range.update(start=bottom, end=top)
         self._cells.data = {"image": [cells], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
 
+    def run_with_pictures(self, script: CustomJS) -> None:
+        """Run a script in the browser where a picture is shown: a page that replaces another one has no other event."""
+        self._cells.js_on_change("data", script)
+
     def name(self, y_label: str) -> None:
         """Set the label of the vertical axis."""
         self.figure.yaxis.axis_label = y_label
@@ -91,43 +95,15 @@ class Drawing:
         for name, value in where.items():
             self._chosen[name].update(visible=True, location=value)
 
+    def unmark(self) -> None:
+        """Mark no lane."""
+        for line in self._chosen.values():
+            line.visible = False
 
-class Portrait:
-    """Trajectory and strobe points of one lane.
-
-    Attributes:
-        figure: of Bokeh.
-    """
-
-    def __init__(self) -> None:
-        self._path = ColumnDataSource({"x": [], "y": []})
-        self._points = ColumnDataSource({"x": [], "y": []})
-        self.figure = figure(
-            tools="pan,wheel_zoom,box_zoom,reset", sizing_mode="stretch_width", height=340, name="portrait"
-        )
-        self.figure.toolbar.logo = None
-        self.figure.line("x", "y", source=self._path, color=LINE, line_width=1, legend_label="trajectory")
-        self.figure.scatter("x", "y", source=self._points, color=POINT, size=3, legend_label="strobe points")
-        [legend] = self.figure.legend
-        legend.update(orientation="horizontal", border_line_alpha=0.0, padding=0)
-        self.figure.add_layout(legend, "above")  # off the data
-
-    def show(self, report: LaneReport) -> None:
-        """Draw a report: points in the plane of the trajectory where there is one, those of a section too."""
-        groups = {key: describe(key, report.groups[key]) for key in ("portrait", "poincare") if key in report.groups}
-        there = list(groups.values())
-        names = [str(variable.name) for variable in variables_of(there[0])] if there else ()
-        for name, source in (("portrait", self._path), ("poincare", self._points)):
-            data = groups.get(name)
-            across, up = _values(data, names) if data is not None else (np.zeros(0), np.zeros(0))
-            source.data = {"x": across, "y": up}
-        if there:
-            self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = (
-                axis_title(str(there[0][name].attrs.get("long_name", name)), str(there[0][name].attrs.get("units", "")))
-                for name in names
-            )
-
-
-def _values(data: xr.Dataset, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    across, up = (data[name].to_numpy().ravel()[:_MOST_POINTS] for name in names)
-    return across, up
+    @property
+    def scale(self) -> Scale:
+        """The ranges that are seen, and their size in pixels."""
+        drawn: Any = self.figure
+        width, height = drawn.inner_width or _NARROWEST, drawn.inner_height or drawn.frame_height
+        across, up = ((ends.start, ends.end) for ends in (drawn.x_range, drawn.y_range))
+        return Scale(across, up, float(width), float(height))

@@ -46,6 +46,7 @@ class LiveDiagram:
     """The diagram of an experiment; as `PictureSource`. All that computes is called in one thread."""
 
     computes = True
+    overlays: Mapping[str, xr.Dataset] = {}
 
     def __init__(self, experiment: Experiment, progress: Progress, columns: int) -> None:
         """Nothing is computed yet.

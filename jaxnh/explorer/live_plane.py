@@ -39,6 +39,7 @@ class LivePlane:
     """A plane of two axes of an experiment; as `Source`. All that computes is called in one thread."""
 
     computes = True
+    overlays: Mapping[str, xr.Dataset] = {}
 
     def __init__(self, experiment: Experiment, progress: Progress, columns: int) -> None:
         """Nothing is computed yet.

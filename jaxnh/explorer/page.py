@@ -7,6 +7,8 @@ import io
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import panel as pn
@@ -15,50 +17,86 @@ from bokeh.events import RangesUpdate, Tap
 from bokeh.models import CustomJS
 
 from jaxnh.exceptions import JaxnhError
-from jaxnh.explorer.figures import Drawing, Portrait
+from jaxnh.explorer.controls import Controls
+from jaxnh.explorer.editor import Editor, EditorState
+from jaxnh.explorer.figures import Drawing
 from jaxnh.explorer.key import key_html
-from jaxnh.explorer.page_style import CSS, LOST
-from jaxnh.explorer.report import report_html
-from jaxnh.explorer.source import LaneReport, Picture, PictureSource
+from jaxnh.explorer.layers import Hit, Layer
+from jaxnh.explorer.opening import PageContent, keeping
+from jaxnh.explorer.overlay_figure import LayerDrawing
+from jaxnh.explorer.overlays import layers_of
+from jaxnh.explorer.page_scripts import KEYBOARD, KEYS, LOST
+from jaxnh.explorer.page_style import CSS
+from jaxnh.explorer.portrait_pane import PortraitPane
+from jaxnh.explorer.report import facts_html, report_html
+from jaxnh.explorer.saved_view import SavedView, yaml_of
+from jaxnh.explorer.source import LaneReport, Picture
 from jaxnh.explorer.view import History, View, as_query, from_query
 from jaxnh.explorer.worker import Request, Worker
 from jaxnh.plotting.results import figure as drawn
 from jaxnh.plotting.style import package_style
 
-_STROBES = (64, 128, 256, 512, 1024, 2048)
-_TRANSIENTS = (64, 256, 512, 1024, 4096, 16384)
-_TARGETS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _SILENT = 0.4  # share of a pass between two words of progress
 _QUICK = 1.5  # seconds that a picture may take without a word of what is being done
+_REFUSED = "files are edited on the loopback alone: start jaxnh explore without --address, on this machine"
+
+Run = Callable[[dict[Path, str]], PageContent]
+"""What opens edited texts anew; raises `JaxnhError`."""
 
 
 class Page:
     """One tab."""
 
-    def __init__(self, source: PictureSource, worker: Worker, document: Document, query: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        opened: PageContent,
+        worker: Worker,
+        document: Document,
+        query: Mapping[str, str],
+        reopen: Callable[[PageContent, EditorState], None],
+        editor: EditorState | None = None,
+        run: Run | None = None,
+    ) -> None:
         """Nothing is asked for yet.
 
         Args:
             query: query of the address, which may name a view.
+            reopen: shows what edited texts have been opened as, in place of this page.
+            editor: the texts; None: those of the files.
+            run: opens edited texts; None: nothing may be edited here.
         """
-        self._source, self._worker, self._document = source, worker, document
-        self._wrong = ""
-        try:
-            first = from_query(source.first, query)
-        except JaxnhError as error:
-            first, self._wrong = source.first, str(error)
-        known = first.ranges.keys() == source.first.ranges.keys() and first.variable in source.variables
-        if not known or first.axis != source.first.axis:
-            first = source.first
+        self._source, self._worker, self._document = opened.source, worker, document
+        self._saved, self._overlays, self._run, self._reopen = opened.saved, opened.overlays, run, reopen
+        first, self._wrong = self._first(query)
         self._history = History([first])
         self._picture: Picture | None = None
-        self._setting = False  # whether controls are being set to a view, and not moved by hand
+        self._layers: dict[tuple[str, str], Sequence[Layer]] = {}
+        self._selected = dict(opened.saved.selected or {})
+        self._facts = ""  # of the curve that was clicked at, as HTML
+        source = self._source
         self._drawing = Drawing(first, source.axis_words[first.axis], self._upward(first))
-        self._portrait = Portrait()
+        self._laid = LayerDrawing(self._drawing.figure, opened.saved.hidden, edged=bool(first.second))
+        self._portrait = PortraitPane(opened.saved.camera)
         self._drawing.figure.on_event(RangesUpdate, self._ranged)
         self._drawing.figure.on_event(Tap, self._tapped)
-        self._make_controls(first)
+        self._drawing.figure.on_change("tags", lambda _, __, tags: self._pressed(str(tags[0])))
+        self._controls = Controls(source, first, lambda: self._try(lambda: self._controls.view(self._history.now)))
+        texts = opened.files and (editor or EditorState(opened.files, opened.files.texts))
+        self._editor = Editor(texts, self._run_texts) if texts else None
+        self._make_widgets(first)
         document.js_on_event("connection_lost", CustomJS(code=LOST))
+        known = {"pressed": self._drawing.figure, "camera": self._portrait.camera, "pan": self._drawing.pan}
+        self._drawing.run_with_pictures(CustomJS(args={**known, "keys": KEYS}, code=KEYBOARD))
+
+    def _first(self, query: Mapping[str, str]) -> tuple[View, str]:
+        """The view that is shown first, and why an address names none."""
+        start = self._saved.first(self._source.first)
+        try:
+            first = from_query(start, query)
+        except JaxnhError as error:
+            return start, str(error)
+        known = first.ranges.keys() == start.ranges.keys() and first.variable in self._source.variables
+        return (first if known and first.axis == start.axis else start), ""
 
     def _upward(self, view: View) -> str:
         """The quantity that is drawn upward in a view, in words."""
@@ -66,8 +104,7 @@ class Page:
 
     # ---- layout
 
-    def _make_controls(self, view: View) -> None:
-        source = self._source
+    def _make_widgets(self, view: View) -> None:
         self._back = pn.widgets.Button(name="◀ Back", width=90, on_click=lambda _: self._move(-1))
         self._forward = pn.widgets.Button(name="Forward ▶", width=90, on_click=lambda _: self._move(1))
         self._whole = pn.widgets.Button(name="Whole range", width=110, on_click=lambda _: self._go_whole())
@@ -76,100 +113,48 @@ class Page:
         self._lane = pn.pane.HTML(
             f"Click into the {'plane' if view.second else 'diagram'}: portrait, strobe points, period, spectrum and "
             "verdict of the lane there, as far as "
-            f"{'they can be computed' if source.computes else 'the file has them'}.",
+            f"{'they can be computed' if self._source.computes else 'the file has them'}. Press ? for the keys.",
             stylesheets=[CSS],
             sizing_mode="stretch_width",
         )
-        drawn_lane = pn.pane.Bokeh(self._portrait.figure, sizing_mode="stretch_width")
-        self._portrait_pane = pn.Column(drawn_lane, sizing_mode="stretch_width", visible=False)
-        self._low = pn.widgets.TextInput(name=f"{view.axis} from", width=190)
-        self._high = pn.widgets.TextInput(name="to", width=190)
-        self._bottom = pn.widgets.TextInput(name=f"{view.second} from", width=190)
-        self._top = pn.widgets.TextInput(name="to", width=190)
-        self._variable = pn.widgets.Select(
-            name="quantity" if view.second else "coordinate",
-            options={words: name for name, words in source.variables.items()},
-            width=190,
-        )
-        self._transient = pn.widgets.Select(name="transient (periods)", width=190)
-        self._strobes = pn.widgets.Select(name="strobes a value", width=190)
-        self._target = pn.widgets.Select(name="error of one period", width=190)
-        self._sliders = {
-            p.name: pn.widgets.EditableFloatSlider(
-                name=p.words, value=p.value, start=p.low, end=p.high, step=(p.high - p.low) / 200, width=210
-            )
-            for p in source.parameters
-        }
-        self._yaml = pn.widgets.FileDownload(
-            callback=self._save_yaml, filename="view.yaml", label="Save as YAML", width=190, button_type="primary"
-        )
-        self._png = pn.widgets.FileDownload(
-            callback=self._save_picture, filename="view.png", label="Save picture", width=190, button_type="primary"
-        )
         self._key = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
-        self._set_controls(view)
-        ends = (self._low, self._high, self._bottom, self._top)
-        for control in (*ends, self._variable, self._transient, self._strobes, self._target):
-            control.param.watch(self._controlled, "value")
-        for slider in self._sliders.values():
-            slider.param.watch(self._controlled, "value_throttled")
+
+    def _saves(self) -> list[Any]:
+        """Buttons that save, and the one that opens the editor."""
+        look = {"width": 190, "button_type": "primary"}
+        yaml = pn.widgets.FileDownload(callback=self._save_yaml, filename="view.yaml", label="Save as YAML", **look)
+        png = pn.widgets.FileDownload(callback=self._save_picture, filename="view.png", label="Save picture", **look)
+        edit = pn.widgets.Button(name="Edit the files", width=190, on_click=lambda _: self._edit())
+        config = bool(self._source.batch_text(self._history.now))
+        return [*([yaml] if config else []), png, *([edit] if self._editor else [])]
 
     def layout(self) -> pn.viewable.Viewable:
         """The whole page."""
-        plane, computes = bool(self._source.first.second), self._source.computes
-        ends = [self._low, self._high, *((self._bottom, self._top) if plane else ())]
-        depth = [] if plane or not computes else [self._transient, self._strobes]
-        saves = [self._target, self._yaml, self._png] if computes else [self._png]
-        side = pn.Column(self._variable, *ends, *self._sliders.values(), *depth, *saves, width=230)
+        side = pn.Column(*self._controls.widgets, *self._saves(), width=230)
         main = pn.Column(
             pn.pane.HTML(f"<h2 style='margin:4px 0'>{html.escape(self._source.title)}</h2>"),
             pn.Row(self._back, self._forward, self._whole, self._status),
+            *([self._editor.layout] if self._editor else []),
             self._key,
             pn.pane.Bokeh(self._drawing.figure, sizing_mode="stretch_width"),
             self._notes,
-            pn.Row(
-                self._portrait_pane,
-                self._lane,
-                sizing_mode="stretch_width",
-            ),
+            pn.Row(self._portrait.layout, self._lane, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )
         return pn.Row(side, main, sizing_mode="stretch_width")
 
-    def _set_controls(self, view: View) -> None:
-        """Set all controls to a view."""
-        self._setting = True
-        self._low.value, self._high.value = repr(view.low), repr(view.high)
-        if view.second and view.window:
-            self._bottom.value, self._top.value = map(repr, view.window)
-        self._variable.value = view.variable
-        for control, known, value in (
-            (self._transient, _TRANSIENTS, view.transient),
-            (self._strobes, _STROBES, view.strobes),
-        ):
-            control.options = sorted({*known, value})
-            control.value = value
-        self._target.options = {"as the config says": 0.0, **{f"{t:g}": t for t in _TARGETS}}
-        self._target.value = view.target or 0.0
-        for p in self._source.parameters:
-            value = view.fixed.get(p.name, p.value)
-            slider = self._sliders[p.name]
-            slider.start, slider.end = min(p.low, value), max(p.high, value)
-            slider.value = value
-        self._back.disabled = self._history.place == 0
-        self._forward.disabled = self._history.place == len(self._history.views) - 1
-        self._setting = False
-
     # ---- what one does
 
     def begin(self) -> None:
-        """Ask for the first view."""
+        """Ask for the first view, and for the lane that a saved view has selected."""
         self._look()
         self._note(())
+        if self._selected.keys() == set(self._history.now.ranges):
+            self._ask_lane(self._selected)
 
     def end(self) -> None:
         """The tab is closed."""
-        for what in ("picture", "lane"):
+        for what in ("picture", "lane", "texts"):
             self._worker.drop((id(self), what))
 
     def _ranged(self, event: Any) -> None:
@@ -187,40 +172,39 @@ class Page:
     def _tapped(self, event: Any) -> None:
         if event.x is None:
             return
-        view = self._history.now
-        where = view.lane_at(event.x, event.y)
+        hit = self._laid.hit(event.x, event.y, self._drawing.scale)
+        self._tell_hit(hit)
+        if hit is None or not self._portrait.show_orbit(hit.item.orbit(hit.point)):
+            self._ask_lane(self._history.now.lane_at(event.x, event.y))
+
+    def _tell_hit(self, hit: Hit | None) -> None:
+        """Show the facts of what was clicked at; a lane's follow them."""
+        self._facts = facts_html(hit.item.facts(hit.point)) if hit else ""
+        self._lane.object = self._facts
+        if hit is not None:
+            self._drawing.unmark()
+            self._worker.drop((id(self), "lane"))
+
+    def _ask_lane(self, where: Mapping[str, float]) -> None:
+        self._selected = dict(where)
         self._drawing.mark(where)
         place = ", ".join(f"{html.escape(name)} = {value!r}" for name, value in where.items())
-        self._lane.object = f"{place}: {'computing' if self._source.computes else 'reading'}…"
-        self._ask("lane", self._source.lane(view, where), self._show_lane)
+        self._lane.object = f"{self._facts}{place}: {'computing' if self._source.computes else 'reading'}…"
+        self._ask("lane", self._source.lane(self._history.now, where), self._show_lane)
 
-    def _controlled(self, _: Any) -> None:
-        if self._setting:
-            return
-
-        def changed() -> View:
-            now = self._history.now
-            moved = {
-                p.name: float(self._sliders[p.name].value)
-                for p in self._source.parameters
-                if self._sliders[p.name].value != p.value
-            }
-            low, high = float(self._low.value), float(self._high.value)
-            window = (float(self._bottom.value), float(self._top.value)) if now.second else None
-            other = self._variable.value != now.variable or moved != dict(now.fixed)
-            view = replace(
-                now,
-                variable=self._variable.value,
-                window=None if other and not now.second else now.window,
-                transient=self._transient.value,
-                strobes=self._strobes.value,
-                target=self._target.value or None,
-                fixed=moved,
-            )
-            same = (low, high) == (now.low, now.high) and window in (None, now.window)
-            return view if same else view.zoom(low, high, window)
-
-        self._try(changed)
+    def _pressed(self, key: str) -> None:
+        if key == "Escape":
+            self._selected = {}
+            self._tell_hit(None)
+            self._drawing.unmark()
+            self._portrait.hide()
+        elif key in ("[", "]"):
+            self._move(-1 if key == "[" else 1)
+        elif key == "0":
+            self._go_whole()
+        else:
+            whole, shown = self._source.first, self._picture.raster.up if self._picture else None
+            self._try(lambda: self._history.now.by_key(key, whole, shown))
 
     def _try(self, change: Callable[[], View]) -> None:
         """Show another view, or say why there is none."""
@@ -242,7 +226,9 @@ class Page:
 
     def _look(self) -> None:
         view = self._history.now
-        self._set_controls(view)
+        self._controls.set(view)
+        self._back.disabled = self._history.place == 0
+        self._forward.disabled = self._history.place == len(self._history.views) - 1
         self._picture = None
         self._drawing.name(self._upward(view))
         self._say("computing…")
@@ -265,30 +251,58 @@ class Page:
             answered[0] = time.monotonic()
             self._later(lambda: None if request.stale else answer(answer_of_pass))
 
+        failed: Callable[[Exception], None] = lambda error: self._say(_sentence(error), error=True)  # noqa: E731
+        if what == "texts" and self._editor is not None:
+            failed = self._editor.show_error
         request = Request(
-            passes,
-            answer=answered_by,
-            failed=lambda error: self._later(lambda: self._say(_sentence(error), error=True)),
-            told=told,
+            passes, answer=answered_by, failed=lambda error: self._later(partial(failed, error)), told=told
         )
         self._worker.ask((id(self), what), request)
 
     def _later(self, action: Callable[[], None]) -> None:
         self._document.add_next_tick_callback(action)
 
+    # ---- editing
+
+    def _edit(self) -> None:
+        if self._run is None:
+            self._say(_REFUSED, error=True)
+        elif self._editor is not None:
+            self._editor.toggle()
+
+    def _run_texts(self, texts: dict[Path, str]) -> None:
+        run, editor = self._run, self._editor
+        if run is None or editor is None:
+            self._say(_REFUSED, error=True)
+            return
+
+        def passes() -> Any:
+            yield run(texts)
+
+        self._ask(
+            "texts", passes(), lambda opened: self._reopen(keeping(opened, self._source, self.seen), editor.state)
+        )
+
     # ---- what is shown
 
     def _show(self, view: View, picture: Picture) -> None:
         self._picture = picture
         self._drawing.show(view, picture)
+        self._laid.show(self._layers_of(view))
+        self._laid.fit(self._drawing.scale)
         self._key.object = key_html(picture.pixels) if picture.pixels else ""
         self._say(picture.words)
         self._note(picture.notes)
 
+    def _layers_of(self, view: View) -> Sequence[Layer]:
+        names = view.axis, view.second or view.variable
+        if names not in self._layers:
+            self._layers[names] = [layer for groups in self._overlays for layer in layers_of(groups, *names)]
+        return self._layers[names]
+
     def _show_lane(self, report: LaneReport) -> None:
         self._portrait.show(report)
-        self._portrait_pane.visible = "portrait" in report.groups or "poincare" in report.groups
-        self._lane.object = report_html(report)
+        self._lane.object = self._facts + report_html(report)
         if report.whole and self._picture is not None:
             self._say(self._picture.words)
 
@@ -303,8 +317,18 @@ class Page:
 
     # ---- what is saved
 
+    @property
+    def seen(self) -> SavedView:
+        """What is seen beside the view."""
+        first = self._source.first
+        whole = dict(first.ranges) if self._source.computes else {}
+        selected = self._selected or None
+        more = {"hidden": tuple(sorted(self._laid.hidden)), "camera": self._portrait.angles}
+        return replace(self._saved, view=as_query(self._history.now), whole=whole, selected=selected, **more)
+
     def _save_yaml(self) -> io.StringIO:
-        return io.StringIO(self._source.batch_text(self._history.now))
+        now = self._history.now
+        return io.StringIO(yaml_of(self._source.batch_text(now), now, self.seen))
 
     def _save_picture(self) -> io.BytesIO:
         return picture_file(self._picture)

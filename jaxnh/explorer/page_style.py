@@ -1,4 +1,4 @@
-"""Style of the page, and its message when the server is gone."""
+"""Style of the page."""
 
 from __future__ import annotations
 
@@ -14,17 +14,11 @@ table.lane td:first-child { color: #666; white-space: nowrap; }
 .key i { display: inline-block; width: 13px; height: 13px; margin-right: 5px; vertical-align: -2px; }
 .scale { width: 360px; }
 .scale .bar { height: 12px; }
+.gutter { text-align: right; color: #888; font: 13px/18px ui-monospace, monospace; padding: 8px 4px 0 0; }
+.gutter { white-space: pre; }
+.gutter b { background: #a4000f; color: white; }
+.wrong { position: relative; font: 13px/18px sans-serif; color: #a4000f; }
+.wrong div { position: absolute; padding-left: 8px; }
 .scale .ends { display: flex; justify-content: space-between; font-size: 12px; }
 """
 """Style of its panes."""
-
-LOST = """
-const page = document.createElement("div")
-page.textContent = "The server has stopped: what is on this page stays, and nothing new is computed. " +
-  "Start jaxnh explore again and reload."
-page.id = "lost"
-page.style.cssText = "position:fixed;top:0;left:0;right:0;padding:10px;background:#a4000f;color:white;z-index:9999;" +
-  "font-family:sans-serif;text-align:center"
-if (!document.getElementById("lost")) document.body.appendChild(page)
-"""
-"""Run in the browser where the connection is lost."""

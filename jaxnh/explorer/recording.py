@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import InputError, JaxnhError, ResultError
+from jaxnh.explorer.overlays import GROUPS
 from jaxnh.explorer.raster import plane_raster, raster, values_of
 from jaxnh.explorer.source import LaneReport, Parameter, Picture, PictureSource, axis_title
 from jaxnh.explorer.view import View
@@ -48,9 +49,7 @@ def source_of(tree: xr.DataTree, name: str) -> PictureSource:
     Raises:
         ResultError: there is neither a plane nor a diagram in it.
     """
-    groups = {str(key): node.to_dataset() for key, node in tree.children.items()}
-    names = str(tree.attrs.get("axes", "")).split()
-    groups = {key: describe(key, data.assign_attrs(axes=" ".join(names))) for key, data in groups.items()}
+    names, groups = str(tree.attrs.get("axes", "")).split(), described(tree)
     sizes = {str(axis): size for data in groups.values() for axis, size in data.sizes.items()}
     long = [axis for axis in names if sizes.get(axis, 1) > 1]
     attrs = {**tree.attrs, "title": str(tree.attrs.get("title") or name)}
@@ -64,6 +63,12 @@ def source_of(tree: xr.DataTree, name: str) -> PictureSource:
     raise ResultError(f"{name} has {there}, and no diagram and no plane of two axes")
 
 
+def described(tree: xr.DataTree) -> dict[str, xr.Dataset]:
+    """The groups of a result by name, each with attributes that say how it is drawn."""
+    axes = str(tree.attrs.get("axes", ""))
+    return {str(k): describe(str(k), node.to_dataset().assign_attrs(axes=axes)) for k, node in tree.children.items()}
+
+
 class _Recording:
     """Members common to all sources of a file."""
 
@@ -72,6 +77,7 @@ class _Recording:
 
     def __init__(self, groups: _Groups, first: xr.Dataset, axes: tuple[str, ...], attrs: _Attrs, name: str) -> None:
         self._groups = {key: groups[key] for key in _OF_A_LANE if key in groups}
+        self.overlays = {key: groups[key] for key in GROUPS if key in groups}
         self._attrs, self.title = attrs, attrs["title"]
         self.axis_words = {axis: _words(first[axis]) for axis in axes}
         others = [
@@ -90,8 +96,8 @@ class _Recording:
         yield LaneReport(where, groups, True)
 
     def batch_text(self, view: View) -> str:
-        """There is none: the file has its own config."""
-        return ""
+        """The config that the file was made from; "" where it has none."""
+        return str(self._attrs.get("config", ""))
 
 
 class RecordedDiagram(_Recording):

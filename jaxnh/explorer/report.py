@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import xarray as xr
@@ -15,10 +15,15 @@ from jaxnh.plotting.meanings import meanings
 
 def report_html(report: LaneReport) -> str:
     """A table of a report."""
-    rows = [f"<tr><td>{html.escape(name)}</td><td>{value!r}</td></tr>" for name, value in report.where.items()]
-    rows += [f"<tr><td>{html.escape(words)}</td><td>{html.escape(text)}</td></tr>" for words, text in lines(report)]
+    where = [(name, repr(value)) for name, value in report.where.items()]
     more = "" if report.whole else "<div class='notes'>spectrum and verdict are being computed…</div>"
-    return f"<table class='lane'>{''.join(rows)}</table>{more}"
+    return facts_html([*where, *lines(report)]) + more
+
+
+def facts_html(facts: Iterable[tuple[str, str]]) -> str:
+    """A table of facts, each with its name."""
+    rows = (f"<tr><td>{html.escape(words)}</td><td>{html.escape(text)}</td></tr>" for words, text in facts)
+    return f"<table class='lane'>{''.join(rows)}</table>"
 
 
 def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
@@ -60,7 +65,7 @@ def _period(data: xr.Dataset) -> Iterator[tuple[str, str]]:
         yield "least period", f"failed: {_flag(data['status'])}"
         return
     n = int(data["period"])
-    yield "least period", f"{n}" if n else f"none up to {data.attrs.get('limit', '?')}"
+    yield "least period", f"{n}" if n else f"none up to {data.attrs.get('max_period', '?')}"
     if n:
         yield "largest multiplier", f"{float(data['multiplier']):.6g}"
 

@@ -1,4 +1,4 @@
-"""The server of the page: on the loopback alone, or with a token. It serves no files."""
+"""The server of the page, for whoever has its token: on the loopback, or where it is asked for. It serves no files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hmac
 import secrets
 import signal
 import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import panel as pn
@@ -16,14 +16,15 @@ from tornado.ioloop import IOLoop
 from tornado.web import RequestHandler
 
 from jaxnh.exceptions import ArgumentError
-from jaxnh.explorer.page import Page
-from jaxnh.explorer.source import PictureSource
+from jaxnh.explorer.editor import EditorState
+from jaxnh.explorer.opening import PageContent
+from jaxnh.explorer.page import Page, Run
 from jaxnh.explorer.worker import Worker
 
 LOOPBACK = ("127.0.0.1", "localhost")
-"""Addresses that this machine alone reaches."""
+"""Addresses that this machine alone reaches: all of its users, so that the page needs the token there too."""
 
-_COOKIE = "jaxnh_token"
+_MESSAGE = 1 << 22  # bytes of a message from a browser, at most
 
 
 class _Refusal(RequestHandler):
@@ -37,8 +38,8 @@ class _Refusal(RequestHandler):
 class TokenAuth(AuthProvider):
     """Admits requests with the token: once in the address, from then on in a cookie of this site."""
 
-    def __init__(self, token: str) -> None:
-        self._token = token
+    def __init__(self, token: str, port: int) -> None:
+        self._token, self._cookie = token, f"jaxnh_token_{port}"  # a browser gives cookies to all ports of a machine
         super().__init__()
 
     @property
@@ -46,11 +47,11 @@ class TokenAuth(AuthProvider):
         """The user of a request: "user", or None where it has no token."""
 
         def known(handler: Any) -> str | None:
-            given = handler.get_argument("token", None) or handler.get_cookie(_COOKIE, "")
+            given = handler.get_argument("token", None) or handler.get_cookie(self._cookie, "")
             if not hmac.compare_digest(given.encode(), self._token.encode()):
                 return None
-            if handler.get_cookie(_COOKIE) != given and hasattr(handler, "_finished"):
-                handler.set_cookie(_COOKIE, given, httponly=True, samesite="Strict")
+            if handler.get_cookie(self._cookie) != given and hasattr(handler, "_finished"):
+                handler.set_cookie(self._cookie, given, httponly=True, samesite="Strict")
             return "user"
 
         return known
@@ -86,40 +87,59 @@ class TokenAuth(AuthProvider):
         return None
 
 
-def make_server(source: PictureSource, worker: Worker, address: str, port: int) -> tuple[Server, str]:
+def make_server(
+    opened: PageContent, worker: Worker, address: str, port: int, run: Run | None = None
+) -> tuple[Server, str]:
     """The server, listening but not yet started, and the address of its page.
+
+    Args:
+        opened: what is shown.
+        run: opens edited texts, which is done on the loopback alone.
 
     Raises:
         ArgumentError: the address cannot be used.
     """
     pn.extension(sizing_mode="fixed", notifications=False)
-    token = "" if address in LOOPBACK else secrets.token_urlsafe(24)
-    names = [address] if address in LOOPBACK else [address, socket.gethostname()]
+    token = secrets.token_urlsafe(24)
+    names = [*LOOPBACK] if address in LOOPBACK else [address, socket.gethostname()]
+    run = run if address in LOOPBACK else None
 
     def page() -> pn.viewable.Viewable:
         document = pn.state.curdoc
         assert document is not None
-        query: Mapping[str, str] = {key: values[0].decode() for key, values in pn.state.session_args.items()}
-        made = Page(source, worker, document, query)
-        document.on_session_destroyed(lambda _: made.end())
-        pn.state.onload(made.begin)
-        return made.layout()
+        query = {key: values[0].decode() for key, values in pn.state.session_args.items() if key != "token"}
+        holder, pages = pn.Column(sizing_mode="stretch_width"), list[Page]()
+
+        def show(opened: PageContent, editor: EditorState | None) -> Page:
+            for old in pages:
+                old.end()
+            pages[:] = [Page(opened, worker, document, {} if editor else query, reopen, editor, run)]
+            holder.objects = [pages[0].layout()]
+            return pages[0]
+
+        def reopen(opened: PageContent, editor: EditorState) -> None:
+            show(opened, editor).begin()
+
+        show(opened, None)
+        document.on_session_destroyed(lambda _: pages[0].end())
+        pn.state.onload(lambda: pages[0].begin())
+        return holder
 
     try:
         listening = _listen(address, port)
         port = listening[1]
-        options: dict[str, Any] = {"auth_provider": TokenAuth(token)} if token else {}
         server = pn.io.server.get_server(
             {"/": page},
             port=port,
             address=address,
-            websocket_origin=[f"{name}:{port}" for name in dict.fromkeys([*names, *(LOOPBACK if not token else ())])],
+            websocket_origin=[f"{name}:{port}" for name in names],
             title="jaxnh explore",
-            **options,
+            auth_provider=TokenAuth(token, port),
+            websocket_max_message_size=_MESSAGE,
         )
     except OSError as error:
         raise ArgumentError("port", f"{address}:{port} cannot be listened on: {error.strerror}") from None
-    return server, f"http://{address}:{port}/{f'?token={token}' if token else ''}"
+    return server, f"http://{address}:{port}/?token={token}"
 
 
 def _listen(address: str, port: int) -> tuple[str, int]:

@@ -82,7 +82,7 @@ class Sessions:
         self.coordinates = experiment.coordinates
         self.integrals = self._user_file.integrals if self._user_file else ()
         self.dims = {axis.name: axis.dim for axis in axes}
-        self.ends = {axis.name: (float(axis.values.min()), float(axis.values.max())) for axis in axes}
+        self.ends = {axis.name: _whole(experiment, axis) for axis in axes}
         grids = {name: batch.even_axis(*ends, _CALIBRATED) for name, ends in self.ends.items()}
         others = {axis.name: float(axis.values[0]) for axis in experiment.axes if axis.name not in self.ends}
         content = batch.content_of(experiment)
@@ -218,3 +218,10 @@ def goes_with(experiment: Experiment, name: str, options: Mapping[str, Any] | No
     except InputError:
         return False
     return True
+
+
+def _whole(experiment: Experiment, axis: Axis) -> tuple[float, float]:
+    """Ends of an axis; of a saved view those that the page had before it was zoomed."""
+    low, high = float(axis.values.min()), float(axis.values.max())
+    saved = experiment.explore.whole.get(axis.name, (low, high)) if experiment.explore else (low, high)
+    return min(low, *saved), max(high, *saved)

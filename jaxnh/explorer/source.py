@@ -69,6 +69,7 @@ class PictureSource(Protocol):
         axis_words: what the axes are called.
         parameters: those that can be moved.
         computes: whether depth, accuracy and parameters can be chosen.
+        overlays: groups that can be laid over the pictures, described, by name.
     """
 
     @property
@@ -83,6 +84,8 @@ class PictureSource(Protocol):
     def parameters(self) -> tuple[Parameter, ...]: ...
     @property
     def computes(self) -> bool: ...
+    @property
+    def overlays(self) -> Mapping[str, xr.Dataset]: ...
 
     def passes(self, view: View) -> Iterator[Picture]:
         """Pictures of a view, each better than the one before."""

@@ -13,6 +13,8 @@ from jaxnh.exceptions import InputError
 COLUMNS = 1000
 """Values of the axis in a picture."""
 
+_MOVES = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
+_ZOOMS = {"+": 0.5, "=": 0.5, "-": 2.0}
 _WORDS = ("low", "high", "bottom", "top")
 
 
@@ -86,6 +88,21 @@ class View:
             window = (bottom, max(top, bottom + least))
         return replace(self, low=low, high=high, window=window)
 
+    def by_key(self, key: str, whole: View, shown: tuple[float, float] | None) -> View:
+        """The view after a key: an arrow moves it by a fifth, + and - zoom about its middle, within the whole range.
+
+        Args:
+            key: as a browser names it.
+            whole: whose ranges no key leaves.
+            shown: range upward that a diagram of all values has.
+        """
+        step, factor = _MOVES.get(key, (0, 0)), _ZOOMS.get(key, 1.0)
+        across = _moved((self.low, self.high), step[0], factor, (whole.low, whole.high))
+        upward = self.window or shown
+        if upward is None or (self.window is None and not step[1]):
+            return self.zoom(*across, self.window)
+        return self.zoom(*across, _moved(upward, step[1], factor, whole.window))
+
     @property
     def deepest(self) -> bool:
         """Return whether a narrower range of an axis has fewer doubles than lanes."""
@@ -98,6 +115,19 @@ class View:
         """Values of the axes, by name, of the lane whose column or pixel a place lies in."""
         places = {self.axis: across, self.second: up}
         return {name: float(values[np.argmin(np.abs(values - places[name]))]) for name, values in self.grid().items()}
+
+
+def _moved(
+    ends: tuple[float, float], step: int, factor: float, whole: tuple[float, float] | None
+) -> tuple[float, float]:
+    """A range moved by fifths of itself and scaled about its middle; inside the whole one it does not leave that."""
+    low, high = ends
+    middle, half = 0.5 * (low + high) + step * (high - low) / 5, 0.5 * factor * (high - low)
+    if whole is not None and whole[0] <= low and high <= whole[1]:
+        half = min(half, 0.5 * (whole[1] - whole[0]))
+        middle = min(max(middle, whole[0] + half), whole[1] - half)
+        return max(whole[0], middle - half), min(whole[1], middle + half)
+    return middle - half, middle + half
 
 
 def _wide(low: float, high: float, count: int) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from jaxnh.plotting.style import CURVES
 
 _DASHES = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (4, 1, 1, 1)))
 _EDGE = [withStroke(linewidth=2.0, foreground="white")]  # names stand on whatever colour a chart has
-_SHORT = {
+SHORT_NAMES = {
     "cusp": "CP",
     "generalised doubling": "GPD",
     "chenciner": "CH",
@@ -40,6 +40,7 @@ _SHORT = {
     "orbit flip stable": "OFS",
     "orbit flip unstable": "OFU",
 }
+"""Short names of points of codimension two."""
 
 
 def bifurcation_curves(data: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -109,5 +110,5 @@ def _dots(x: xr.DataArray, y: xr.DataArray, kind: xr.DataArray, ax: Axes) -> Non
     words = {value: name for value, (name, _) in meanings(kind).items()}
     for across, up, what in zip(x.to_numpy(), y.to_numpy(), kind.to_numpy(), strict=True):
         ax.plot(across, up, "o", color="black", markerfacecolor="white", markersize=4, zorder=5)
-        label = _SHORT.get(words[int(what)], words[int(what)])
+        label = SHORT_NAMES.get(words[int(what)], words[int(what)])
         ax.annotate(label, (across, up), (4, 4), textcoords="offset points", fontsize=7, zorder=5, path_effects=_EDGE)

@@ -173,9 +173,14 @@ def _stretches(x: np.ndarray, y: np.ndarray, stable: np.ndarray, new: np.ndarray
 
     A stretch ends at the bifurcation that has been put in, or where there is none at the next point beyond.
     """
-    which = (stable == attracts) & ~new
+    here = stretch_places((stable == attracts) & ~new, new)
+    points = np.column_stack([np.where(here, x, np.nan), np.where(here, y, np.nan)])
+    return np.concatenate([points, np.full((1, 2), np.nan)])
+
+
+def stretch_places(which: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Places of the points of a kind with those that their stretches end at: the next point, or a new one before."""
     here = which.copy()
     here[1:] |= which[:-1]
     here[:-1] |= which[1:] & new[:-1]
-    points = np.column_stack([np.where(here, x, np.nan), np.where(here, y, np.nan)])
-    return np.concatenate([points, np.full((1, 2), np.nan)])
+    return here

@@ -122,6 +122,7 @@ class UserFile:
         self._define = self._function()
         self.parameters = self._defaults()
         self._periodic: set[tuple[float, ...]] = set()  # parameters at which the equations were seen to have the period
+        self._periods: dict[tuple[tuple[str, float], ...], float] = {}
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.states, self.integrals = states_in(definition), tuple(definition.get("integrals", ()))
@@ -188,7 +189,10 @@ class UserFile:
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
-        return unit_of_time(self.define(**parameters))
+        at = tuple((name, float(np.asarray(value))) for name, value in parameters.items())
+        if at not in self._periods:  # sweeps ask for the same ones again and again
+            self._periods[at] = unit_of_time(self.define(**parameters))
+        return self._periods[at]
 
     def flow(
         self, parameters: Mapping[str, float], of_lanes: tuple[str, ...] = (), *, in_periods: bool = False

@@ -392,7 +392,7 @@ def test_dict_of_numpy_and_overrides():
 
 
 DICT_FAULTS = {
-    "unknown key": ({"titel": "A"}, "experiment: titel: unknown key (did you mean title?); known keys are title, system, initial, sweep, levels, section, accuracy, analyses, device, compare"),
+    "unknown key": ({"titel": "A"}, "experiment: titel: unknown key (did you mean title?); known keys are title, system, initial, sweep, levels, section, accuracy, analyses, device, compare, explore"),
     "a value": ({"sweep": {"b": {"start": 1.0, "stop": 2.0, "count": 1}}}, "experiment: sweep.b.count: must be at least 2, not 1"),
     "nothing": ({"sweep": {"b": {"values": np.array([])}}}, "experiment: sweep.b.values: must have at least 1 of them, not 0"),
     "text": ({"system": {"constraint": "constant_speed", "a": "0.5"}}, "experiment: system.a: must be a number, not the text '0.5'"),

@@ -9,6 +9,7 @@ from jaxnh.engine import plan
 from jaxnh.engine.cache import calibrations, executables
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment, load
+from jaxnh.engine.session import Session
 from jaxnh.exceptions import AccuracyError, ConfigError
 from tests.helpers.kept_programs import lanes_with_kept_programs
 
@@ -155,3 +156,9 @@ def test_data_of_users_are_in_the_name(folder, tmp_path):
     assert names[0] != names[1]
     before = "import jax\n@jax.custom_jvp\ndef own(x):\n    return x\nown.defjvp(lambda p, t: (p[0], t[0]))\n"
     assert name_of_user(tmp_path, before=before, force="own(y[0])") is None
+
+
+def test_a_second_session_calibrates_nothing_and_has_the_same_plan(folder, calibrated):
+    first, second = (Session(experiment()).plan for _ in range(2))
+    assert len(calibrated) == 1
+    assert second == first

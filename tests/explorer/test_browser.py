@@ -1,4 +1,4 @@
-"""The page in a real Chromium: open, zoom, click, save, reload, two tabs, a server that stops; results; tokens."""
+"""The page in a real Chromium: open, zoom, click, save, reload, keys, editing, two tabs, a server that stops; tokens."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ import urllib.error
 import urllib.request
 from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
 import pytest
 
 import jaxnh
+from tests.helpers.hand_made_results import cascade_branches, cascade_marks, states, tree, window_rows, write
 from tests.helpers.paths import ROOT
 
 pytest.importorskip("panel", reason="the extra explore is missing")
@@ -112,7 +114,7 @@ def tab(browser):
 
 
 def local(url):
-    return urlsplit(url).hostname in ("127.0.0.1", None) or url.startswith(("data:", "blob:"))
+    return urlsplit(url).hostname in ("127.0.0.1", "127.0.0.2", None) or url.startswith(("data:", "blob:"))
 
 
 def whole(page, words=f"{COLUMNS} values, 64 strobes after 48 periods"):
@@ -209,9 +211,9 @@ def test_two_tabs_have_views_of_their_own(tab, address):
 
 
 def test_an_error_is_said_on_the_page(tab, address):
-    page = tab(address + "?low=7&high=5")
+    page = tab(address + "&low=7&high=5")
     page.get_by_text("a range of b goes from a number up to a larger one").wait_for()
-    page = tab(address + "?low=4&high=6&p.nothing=1")
+    page = tab(address + "&low=4&high=6&p.nothing=1")
     page.get_by_text("there is no parameter nothing").wait_for()
     shot(page, "error")
 
@@ -275,17 +277,217 @@ def test_a_chart_opens_and_is_zoomed_clicked_and_saved(tab, tmp_path):
         assert ended(process) == 0
 
 
+def facts(page):
+    """Rows of the table of what was clicked at."""
+    return dict(line.split("\t") for line in page.locator("table.lane").first.inner_text().splitlines())
+
+
+def click(page, across, up):
+    """Click at a share of the width and of the height of the frame, from the lower left."""
+    box = page.locator(".bk-Figure").first.bounding_box()
+    frame = page.evaluate(
+        """() => {
+          const of = (root) => [...root.querySelectorAll("*")].flatMap((e) => [e, ...(e.shadowRoot ? of(e.shadowRoot) : [])])
+          const view = Object.values(Bokeh.index.roots ?? Bokeh.index)[0]
+          const find = (v) => v?.model?.name == "view" ? v : [...(v?.child_views ?? [])].map(find).find((x) => x)
+          const b = find(view).frame.bbox
+          return [b.left, b.top, b.width, b.height]
+        }"""
+    )
+    left, top, width, height = frame
+    page.mouse.click(box["x"] + left + across * width, box["y"] + top + (1.0 - up) * height)
+
+
+def test_curves_are_laid_over_told_by_a_click_and_moved_by_keys(tab, tmp_path):
+    """The branch of period 1 of the logistic map is at x = 1 − 1/b, and from b = 3 on unstable."""
+    groups = {"branches": cascade_branches(), "bifurcations": cascade_marks(), "windows": window_rows()}
+    made = tree({"diagram": states(np.linspace(2.5, 3.5, 5), 8), **groups})
+    process, address = started(write(tmp_path / "page.h5", made))
+    try:
+        page = tab(address + "&low=2.5&high=3.5&bottom=0&top=1")
+        page.get_by_text("5 values", exact=True).wait_for()
+        page.wait_for_timeout(500)
+        click(page, 0.8, 1 - 1 / 3.3)
+        page.get_by_text("period 1, unstable").wait_for()
+        assert float(facts(page)["b"]) == pytest.approx(3.3, abs=0.03)
+        shot(page, "overlays")
+        page.keyboard.press("?")
+        page.get_by_role("dialog").wait_for()
+        page.keyboard.press("Escape")
+        page.get_by_role("dialog").wait_for(state="detached")
+        page.keyboard.press("+")
+        page.wait_for_function("() => location.search.includes('low=2.75&high=3.25')")
+        page.keyboard.press("[")
+        page.wait_for_function("() => location.search.includes('low=2.5&high=3.5')")
+    finally:
+        assert ended(process) == 0
+
+
+@pytest.fixture(scope="module")
+def spiral(tmp_path_factory):
+    """A result whose lanes have a portrait of four coordinates."""
+    b = np.linspace(1.0, 6.0, 5)
+    portrait = states(b, 64, "time", "trajectories")
+    path = tmp_path_factory.mktemp("explore") / "page.h5"
+    process, found = started(write(path, tree({"diagram": states(b, 8), "portrait": portrait})))
+    yield found
+    assert ended(process) == 0
+
+
+def steps(page):
+    """Ends of the steps of the portrait in space, as the browser has projected them."""
+    return page.evaluate("""() => [...Bokeh.documents[0].get_model_by_name("space").renderers[1].data_source.data.x]""")
+
+
+def test_a_portrait_is_turned_in_space_by_a_drag_and_by_keys(tab, spiral):
+    """A turn of the camera by an angle moves points across by what cos and sin say: their length stays."""
+    page = tab(spiral)
+    page.get_by_text("5 values", exact=True).wait_for()
+    page.wait_for_timeout(500)
+    click(page, 0.5, 0.5)
+    page.get_by_role("button", name="space").click()
+    page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('space').renderers[1].data_source.data.x?.[0]")
+    page.wait_for_timeout(500)
+    source = "Bokeh.documents[0].get_model_by_name('space').renderers[1].data_source"
+    u, v = (np.array(page.evaluate(f"() => [...{source}.data.{name}]")) for name in "uv")
+    angle = np.deg2rad(-60.0)
+    assert np.allclose(steps(page), -np.sin(angle) * u + np.cos(angle) * v)
+    page.keyboard.press("Shift+ArrowRight")
+    angle = np.deg2rad(-55.0)
+    assert np.allclose(steps(page), -np.sin(angle) * u + np.cos(angle) * v)
+    box = page.locator(".bk-Figure").last.bounding_box()
+    before = steps(page)
+    page.mouse.move(box["x"] + 200, box["y"] + 200)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 260, box["y"] + 220, steps=4)
+    page.mouse.up()
+    page.wait_for_timeout(500)
+    assert not np.allclose(steps(page), before)
+    shot(page, "space")
+
+
+def test_a_touch_pans_and_two_fingers_zoom(browser, spiral):
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, has_touch=True, is_mobile=True)
+    context.set_default_timeout(PATIENCE)
+    page = context.new_page()
+    page.goto(spiral)
+    page.get_by_text("5 values", exact=True).wait_for()
+    page.wait_for_timeout(500)
+    fingers = context.new_cdp_session(page)
+    box = page.locator(".bk-Figure").first.bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+
+    def touch(*paths):
+        """Fingers along straight lines from one place to another."""
+        for kind, share in (("touchStart", 0.0), *(("touchMove", k / 5) for k in range(1, 6)), ("touchEnd", None)):
+            at = [] if share is None else [(a + share * (c - a), b + share * (d - b)) for (a, b), (c, d) in paths]
+            points = [{"x": across, "y": up, "id": k} for k, (across, up) in enumerate(at)]
+            fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch(((x, y), (x - 200, y)))
+    page.wait_for_function("() => !location.search.includes('low=1.0')")
+    low, high = view(page)
+    assert low > 1.5
+    assert high - low == pytest.approx(5.0)
+    touch(((x - 30, y), (x - 150, y)), ((x + 30, y), (x + 150, y)))
+    page.wait_for_function(
+        "before => location.search != before", arg=urlsplit(page.url).query and "?" + urlsplit(page.url).query
+    )
+    low, high = view(page)
+    assert high - low < 4.0
+    context.close()
+
+
+MAP = """\
+def system(r=3.2):
+    def image(y):
+        x, z, w = y
+        return r * x * (1 - x), x, z
+
+    return {"map": image, "coordinates": ("x", "z", "w")}
+"""
+MAP_CONFIG = """\
+title: A map
+system: {file: own.py}
+initial: {x: 0.3}
+sweep: {r: {start: 3.0, stop: 3.4, count: 8}}
+analyses: {diagram: {transient: 64, strobes: 8}}
+"""
+
+
+@pytest.mark.slow  # two servers and six pictures; `test_edited_files` and `test_saved_view` are quick
+def test_files_are_edited_run_and_saved_and_the_view_is_kept(tab, tmp_path):
+    config, system = tmp_path / "own.yaml", tmp_path / "own.py"
+    config.write_text(MAP_CONFIG)
+    system.write_text(MAP)
+    process, address = started(config, "--columns", COLUMNS)
+    try:
+        page = tab(address)
+        whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+        page.get_by_role("button", name="Edit the files").click()
+        areas = page.locator("textarea")
+        areas.nth(1).fill(MAP.replace("r * x", "q * x"))
+        page.get_by_role("button", name="Check and run").click()
+        page.get_by_text("own.py, line 4: NameError: name 'q' is not defined").wait_for()
+        assert page.locator(".gutter b").inner_text() == "4"
+        shot(page, "editor")
+        areas.nth(1).fill(MAP.replace("r * x", "2 * r * x"))
+        areas.nth(0).fill(
+            MAP_CONFIG.replace("A map", "Another map").replace("start: 3.0, stop: 3.4", "start: 1.5, stop: 1.7")
+        )
+        page.get_by_role("button", name="Check and run").click()
+        page.get_by_text("Another map").first.wait_for()
+        whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+        assert (config.read_text(), system.read_text()) == (MAP_CONFIG, MAP)
+        page.get_by_role("button", name="Save to the files").click()
+        page.get_by_text("saved: own.yaml, own.py").wait_for()
+        assert "2 * r * x" in system.read_text()
+        page.get_by_role("button", name="Close the editor").click()
+        page.keyboard.press("+")
+        page.wait_for_function("() => location.search.includes('low=1.55')")
+        whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+        with page.expect_download() as download:
+            page.get_by_text("Save as YAML").click()
+        saved = tmp_path / "view.yaml"
+        download.value.save_as(saved)
+    finally:
+        assert ended(process) == 0
+    assert [axis.values[0] for axis in jaxnh.load(saved).axes] == [1.55]
+    process, address = started(saved, "--columns", COLUMNS)
+    try:
+        page = tab(address)
+        whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+        assert view(page) == pytest.approx((1.55, 1.65))
+        page.keyboard.press("0")
+        page.wait_for_function("() => location.search.includes('low=1.5&high=1.7')")
+    finally:
+        assert ended(process) == 0
+
+
+def test_files_are_not_edited_from_elsewhere(tab, tmp_path):
+    (tmp_path / "own.yaml").write_text(MAP_CONFIG)
+    (tmp_path / "own.py").write_text(MAP)
+    process, address = started(tmp_path / "own.yaml", "--columns", COLUMNS, "--address", "127.0.0.2")
+    try:
+        page = tab(address)
+        whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+        page.get_by_role("button", name="Edit the files").click()
+        page.get_by_text("files are edited on the loopback alone").wait_for()
+    finally:
+        assert ended(process) == 0
+
+
 def maps_of(process):
     """Files that a process has mapped, as the libraries that it has loaded."""
     with open(f"/proc/{process.pid}/maps", "rb") as file:
         return file.read()
 
 
-def test_other_addresses_need_the_token(config, tmp_path):
+@pytest.mark.parametrize("listening", ["127.0.0.1", "127.0.0.2"])
+def test_every_address_needs_the_token(listening, tmp_path):
     """Of the page and of the connection that carries all of it, which a page of another site could ask for."""
-    result = tmp_path / "page.h5"
-    jaxnh.run(jaxnh.load(config, ["sweep.b.count=4", "analyses={diagram: {strobes: 64}}"]), result)
-    process, address = started(result, "--address", "127.0.0.2")
+    result = write(tmp_path / "page.h5", tree({"diagram": states(np.linspace(1.0, 6.0, 5), 8)}))
+    process, address = started(result, "--address", listening)
     try:
         bare, token = address.split("?")
         assert token.startswith("token=")
@@ -296,11 +498,12 @@ def test_other_addresses_need_the_token(config, tmp_path):
         assert urllib.request.urlopen(address).status == 200
         assert connected(bare, token) == 101
         assert connected(bare, "token=wrong") in (401, 403)
+        assert connected(bare, token, origin="http://elsewhere.example") == 403
     finally:
         ended(process)
 
 
-def connected(address, query):
+def connected(address, query, origin=None):
     """Status of the answer to a connection that is asked for with a session that one has made up oneself."""
     from bokeh.util.token import generate_jwt_token, generate_session_id
 
@@ -311,7 +514,7 @@ def connected(address, query):
         "Sec-WebSocket-Version": "13",
         "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
         "Sec-WebSocket-Protocol": f"bokeh, {made}",
-        "Origin": address.rstrip("/"),
+        "Origin": origin or address.rstrip("/"),
     }
     connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=20)
     connection.request("GET", f"/ws?{query}", headers=headers)

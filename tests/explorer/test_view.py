@@ -71,3 +71,16 @@ def test_a_plane_has_a_range_and_lanes_of_both_axes():
 def test_an_address_that_names_none_is_refused(query):
     with pytest.raises(InputError):
         from_query(FIRST, query)
+
+
+def test_keys_move_and_zoom_within_the_whole_range():
+    view = FIRST.zoom(1.0, 2.0, (0.0, 1.0))
+    assert view.by_key("ArrowRight", FIRST, None).ranges == {"b": (1.2, 2.2)}
+    assert view.by_key("ArrowUp", FIRST, None).window == pytest.approx((0.2, 1.2))
+    zoomed = view.by_key("+", FIRST, None)
+    assert (zoomed.low, zoomed.high, zoomed.window) == (1.25, 1.75, (0.25, 0.75))
+    assert zoomed.by_key("-", FIRST, None) == view
+    edge = FIRST.by_key("ArrowLeft", FIRST, (0.0, 1.0))
+    assert (edge.low, edge.high, edge.window) == (FIRST.low, FIRST.high, None)
+    assert FIRST.zoom(0.2, 1.2, None).by_key("ArrowLeft", FIRST, None).low == FIRST.low
+    assert FIRST.by_key("-", FIRST, (0.0, 1.0)) == FIRST

@@ -31,9 +31,13 @@ def explore(
         list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Values to use in place of the config's")
     ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes a free one")] = 5006,
-    address: Annotated[
-        str, typer.Option(help="Where to listen; other than the loopback, the page needs a token")
-    ] = "127.0.0.1",
+    address: Annotated[str, typer.Option(help="Where to listen; files are edited on the loopback alone")] = "127.0.0.1",
+    over: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Result file whose curves, branches, orbits, windows and manifolds are laid over; repeatable"
+        ),
+    ] = None,
     columns: Annotated[
         int, typer.Option(min=64, max=4096, help="Values of the axis in a diagram; a fifth of it in a plane")
     ] = 1000,
@@ -49,20 +53,16 @@ def explore(
 
     content = None if config.suffix == ".h5" else read_config(config, overrides)
     # From here on pages of Panel, and of a config JAX: seconds of imports.
+    from jaxnh.explorer.opening import open_file, open_texts
     from jaxnh.explorer.serve import make_server, run
     from jaxnh.explorer.worker import Watch, Worker
 
     worker = Worker()
-    if content is None:
-        from jaxnh.explorer.recording import open_recording
-
-        source = open_recording(config)
-    else:
-        from jaxnh.cli.experiments import experiment_of
-        from jaxnh.explorer.live import live
-
-        source = live(experiment_of(content), Watch(worker), columns)
-    server, page = make_server(source, worker.start(), address, port)
+    watch = Watch(worker)
+    opened = open_file(config, content, overrides or (), over or (), watch, columns)
+    server, page = make_server(
+        opened, worker.start(), address, port, lambda texts: open_texts(opened, texts, watch, columns)
+    )
     print(f"explore: {page} shows {config}; Control-C stops it", flush=True)
     run(server, worker)
 

@@ -30,13 +30,17 @@ class Decision:
     fastest: float
 
 
-def name_of(experiment: Experiment, devices: Sequence[Any], tile: int | None) -> str | None:
-    """The name of a decision, the same in every process; None where it is not to be kept."""
+def name_of(experiment: Experiment, devices: Sequence[Any], tile: int | None, kind: str = "decision") -> str | None:
+    """The name of a decision, the same in every process; None where it is not to be kept.
+
+    Args:
+        kind: of decision.
+    """
     user = experiment.user_file
     said = executables.of_user_file(user) if user else ""
     if store.folder() is None or said is None:
         return None
-    words = ["decision", executables.environment(), executables.of_devices(devices)]
+    words = [kind, executables.environment(), executables.of_devices(devices)]
     return hashlib.sha256("\n".join([*words, str(tile), said, experiment.sha256]).encode()).hexdigest()
 
 
