@@ -76,7 +76,7 @@ class Manifold(NamedTuple):
     sign: int
 
 
-class Bracket(NamedTuple):
+class SideChange(NamedTuple):
     """Two values of the first parameter at which a manifold passes a saddle on different sides.
 
     Attributes:
@@ -166,7 +166,7 @@ def connection_seeds(
                     pulse, end = _first_difference(passages[k], passages[k + 1]), ends[k]
                     if pulse is not None and end is not None and numbers[k + 1] == numbers[k] + 1:
                         low, high = values[[numbers[k], numbers[k + 1]]].tolist()
-                        bracket = Bracket((starts[k], end), directions[k], (low, high), pulse, passed)
+                        bracket = SideChange((starts[k], end), directions[k], (low, high), pulse, passed)
                         seed = _refined(shooting, manifold, bracket)
                         if seed is not None:
                             yield seed
@@ -276,7 +276,7 @@ def _first_difference(one: list[_Passage], other: list[_Passage]) -> int | None:
     return None
 
 
-def _refined(shooting: Shooting, manifold: Manifold, bracket: Bracket) -> ConnectionSeed | None:
+def _refined(shooting: Shooting, manifold: Manifold, bracket: SideChange) -> ConnectionSeed | None:
     """The path that comes nearest to the saddle between two values, None where it does not come near."""
     saddles, direction, ends, pulse, passed = bracket
     best: tuple[float, Float[np.ndarray, "count d"], float, SaddlePoint, SaddlePoint] | None = None
