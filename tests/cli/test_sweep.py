@@ -313,6 +313,7 @@ def test_schema(sweep, tmp_path):
         "sweep",
         "levels",
         "section",
+        "explore",
         "accuracy",
         "analyses",
         "device",
