@@ -28,8 +28,8 @@ _HOMES = {
     "tori": "tori.tori",
     "transport": "transport.transport",
     "manifolds": "manifolds.manifolds",
-    "homoclinic": "continuation.homoclinic",
     "edges": "edges.edges",
+    "homoclinic": "continuation.homoclinic",
 }
 
 

@@ -31,6 +31,7 @@ from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shootin
 from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
 from jaxnh.analyses.continuation.families import check_plane, no_collocation, plane_problem, step_control
 from jaxnh.analyses.options.orbits import HomoclinicOptions
+from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.orbits.bifurcations.connection_points import (
     POINTS,
@@ -319,6 +320,11 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     return Table("Homoclinic and heteroclinic orbits", heads, tuple(rows), left=(0, 4))
 
 
+def price(options: HomoclinicOptions, batch: LaneBatch) -> Price:
+    """Return the price: orbits are boundary-value problems, whose algebra is on the host."""
+    return Price(None, map_alone(batch), "not measured: rates of the flow at the points of meshes, and their algebra")
+
+
 ANALYSIS = Analysis(
     "homoclinic",
     HomoclinicOptions,
@@ -328,6 +334,7 @@ ANALYSIS = Analysis(
     numbers=numbers,
     check=check,
     table=table,
+    price=price,
     brief={"duration": 1, "n_values": 1, "n_starts": 1},
 )
 """The entry of this analysis in the table."""
