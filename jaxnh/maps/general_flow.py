@@ -199,11 +199,17 @@ class GeneralStrobe(ReturnMap):
         assert isinstance(solver, WrittenOutRungeKutta)
         rolled = solver.carried_stages if self.carried else solver.rolled_stages
         advance = rolled if self._rolls(tangents) else solver.written_stages
-        values = [jnp.asarray(value) for value in self.values]
+        kinds = [value.dtype for value in self.values]
+        # What a loop over stages closes over has to be a floating-point number (`jax.closure_convert`).
+        values = [jnp.asarray(value, jnp.promote_types(value.dtype, grid.dtype)) for value in self.values]
 
         def step(i: Any, y: Moving) -> Moving:
             rows = [value[i] for value in values]
-            after = advance(lambda s, y: field([row[s] for row in rows], y), grid[i + 1] - grid[i], y)
+
+            def stage(s: Any, y: Moving) -> Moving:
+                return field([row[s].astype(kind) for row, kind in zip(rows, kinds, strict=True)], y)
+
+            after = advance(stage, grid[i + 1] - grid[i], y)
             return after if project is None else project(grid[i + 1], after)
 
         return step(0, y) if self.steps is None else lax.fori_loop(0, self.steps, step, y)

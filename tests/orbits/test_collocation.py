@@ -80,6 +80,31 @@ def test_cycles_of_hopfs_normal_form():
             assert cycle.multiplier_error[0, 0] < 100 * tolerance
 
 
+@pytest.mark.parametrize("rate", [3.0, 30.0, 400.0])
+def test_a_multiplier_that_is_nothing_leaves_the_others_theirs(rate):
+    """Hopf's normal form with z' = rate (x − z): exp(−4πμ/ω) and exp(−2π rate/ω), down to far below all numbers."""
+
+    def driven(mu=0.1):
+        plane = hopf(mu)["rhs"]
+
+        def rhs(y, t):
+            return *plane(y[:2], t), rate * (y[0] - y[2])
+
+        return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+
+    problem, mu = problem_of(first_order(driven, {"mu": 0.1}, ("mu",)), ("mu",), (0.5, 0.5, 0.5)), 0.1
+    guess = circle(8, 0.3, 3.0, mu)
+    path = guess.path
+    path = path._replace(ends=path.ends[..., [0, 1, 0]], stages=path.stages[..., [0, 1, 0]])
+    [cycle] = solve_cycles(problem, guess._replace(path=path), 1e-9)
+    assert cycle.converged[0]
+    assert cycle.solution.path.stages.shape[1] <= 128
+    exact = np.exp(np.array([-4 * np.pi * mu, -2 * np.pi * rate]) / OMEGA)
+    exact = exact[np.argsort(-exact)]
+    assert np.all(np.abs(cycle.multipliers[0] - exact) <= cycle.multiplier_error[0])
+    assert np.all(cycle.multiplier_error[0] <= 1e-7)
+
+
 def test_durations_converge_with_order_2m():
     """Of Gauss collocation at the ends of intervals (de Boor and Swartz): eight with four points."""
     problem, errors = problem_of(first_order(hopf, {"mu": 0.1}, ("mu",)), ("mu",), (0.5, 0.5)), []

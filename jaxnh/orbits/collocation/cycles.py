@@ -27,6 +27,7 @@ _MOST = 6400  # intervals of a mesh
 _OF_MULTIPLIERS = 100.0
 _TINY = np.finfo(float).tiny  # multipliers below are zero
 _FLOOR = 4 * np.finfo(float).eps
+_NOTHING = 1e-12  # size of a multiplier beside one
 
 
 class CycleSolution(NamedTuple):
@@ -96,14 +97,18 @@ def cycle_multipliers(
     """Multipliers, and their errors by Liouville's formula: the logarithms' sum is the integral of the divergence.
 
     Intervals that are long for a fast rate change the sign of what they do to it, or stop its growth; the error is then
-    as large as what is missing.
+    as large as what is missing. Of a multiplier that is nothing beside one, and may be below the smallest number, the
+    logarithm says nothing of the others: where too little decay is missing, the error is that multiplier's own.
     """
     values = multipliers(merged(floquet_blocks(problem, solution, blocks)))
     jacobian = rates_on(problem, solution).jacobian
     divergence = np.sum(solution.path.measure * np.trace(jacobian, axis1=3, axis2=4), axis=(1, 2))
+    sizes = np.abs(values)
     with np.errstate(over="ignore"):
-        missing = divergence - np.sum(np.log(np.maximum(np.abs(values), _TINY)), axis=1)
-        return values, np.abs(values) * np.abs(np.expm1(missing))[:, None]
+        missing = divergence - np.sum(np.log(np.maximum(sizes, _TINY)), axis=1)
+        errors = sizes * np.abs(np.expm1(missing))[:, None]
+    own = (sizes <= _NOTHING) & (missing < 0.0)[:, None]
+    return values, np.where(own.any(axis=1, keepdims=True), np.where(own, sizes, 0.0), errors)
 
 
 def solve_cycles(

@@ -50,9 +50,15 @@ def gauss_rule(m: int) -> GaussRule:
     return GaussRule(points, 0.5 * weights, integrals, lagrange(m, np.ones(1))[0], highest)
 
 
+@functools.cache
+def _nodes(m: int) -> tuple[float, ...]:
+    """Return 0, c_1, …, c_m."""
+    return (0.0, *(0.5 * (np.polynomial.legendre.leggauss(m)[0] + 1.0)).tolist())
+
+
 def lagrange(m: int, at: Float[np.ndarray, ...]) -> Float[np.ndarray, "... m+1"]:
     """Shares of the values at 0, c_1, …, c_m in the value of their polynomial at places in [0, 1]."""
-    nodes = np.concatenate([[0.0], 0.5 * (np.polynomial.legendre.leggauss(m)[0] + 1.0)])
+    nodes = _nodes(m)
     shares = np.ones((*at.shape, m + 1))
     for k in range(m + 1):
         for j in range(m + 1):
