@@ -201,7 +201,8 @@ class GeneralStrobe(ReturnMap):
         advance = rolled if self._rolls(tangents) else solver.written_stages
         kinds = [value.dtype for value in self.values]
         # What a loop over stages closes over has to be a floating-point number (`jax.closure_convert`).
-        values = [jnp.asarray(value, jnp.promote_types(value.dtype, grid.dtype)) for value in self.values]
+        numbers = [kind if jnp.issubdtype(kind, jnp.inexact) else grid.dtype for kind in kinds]
+        values = [jnp.asarray(value, kind) for value, kind in zip(self.values, numbers, strict=True)]
 
         def step(i: Any, y: Moving) -> Moving:
             rows = [value[i] for value in values]
