@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from types import SimpleNamespace
 
 import heyoka as hy
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxnh
 from jaxnh.engine.accuracy.calibration import Calibration
+from jaxnh.engine.accuracy.diagnostics import explain_motion
 from jaxnh.engine.accuracy.kinks import find_kink
+from jaxnh.engine.accuracy.sample_maps import Samples
 from jaxnh.engine.accuracy.sizes import coordinate_names
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.lagrangian import lagrangian
+from jaxnh.systems.particle import constant_speed
 from tests.helpers.batches import calibrated
 from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs
@@ -215,6 +221,28 @@ def test_kinks_are_where_they_are(force, order):
         assert at == pytest.approx(
             math.acos(0.2) if "corner" in kink.description and order == 2 and at < 1.5 else math.pi / 2, abs=1e-3
         )
+
+
+def test_a_fast_particle_does_not_go_to_infinity():
+    """At constant speed nothing does; steps of a 2048th of a period do not follow the turning of a strong force."""
+    system = constant_speed(c=0.0001)
+    state = jax.tree.map(np.atleast_1d, system.start({"x1": 20.0, "x2": 0.001, "y1": 0.1}))
+    sample = Samples(state, {"b": np.array([500.0])}, np.zeros(1, int), {})
+    words = explain_motion(SimpleNamespace(flows=[system], parts=1), sample)
+    assert re.fullmatch(
+        "rates of change reach .* a period: the system is stiff; slow down what is fast in it, or ask for less", words
+    )
+
+
+def test_a_long_period_is_looked_at_with_finer_steps():
+    """At constant speed nothing goes to infinity, in a period of 628 units of time either, whose 2048th is too long a step."""
+    system = constant_speed(omega=0.01)
+    state = jax.tree.map(np.atleast_1d, system.start({"x1": 0.1, "x2": 0.1, "y1": 0.1}))
+    sample = Samples(state, {"b": np.array([2.5])}, np.zeros(1, int), {})
+    maps = SimpleNamespace(
+        flows=[system], parts=1, scheme=SimpleNamespace(reference=SimpleNamespace(most_steps=int)), tried=2**20
+    )
+    assert "infinity" not in explain_motion(maps, sample)
 
 
 def test_no_kink_where_the_field_overflows():

@@ -26,7 +26,9 @@ from jaxnh.systems.state import State, is_finite
 _LONG = 4.0  # times the median return: errors have grown in it
 _STIFF = 200.0  # rates a unit of time that explicit steps of the reference do not follow
 _UNRESOLVED = 1.0  # of a rate times a step: from here on explicit steps do not follow it
+_UNSTABLE = 2.8  # of a rate times a step of the classical method, which from here on goes to infinity by itself
 _ROUGHLY = 2048  # steps along a motion that is looked at
+_FINER, _SAME_END = 4, 3.0  # times as many steps, with which infinity is as near, in steps, if it is the motion's own
 _LOOKED_AT = 64  # states of these at which rates are
 _MODERATE = 100.0  # times that a map enlarges a rounding, which is then that of a large number and not of chaos
 _LARGE = 100.0  # times the size of its motion, that a coordinate is far from zero
@@ -79,7 +81,16 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
     if why := flow.near_degeneracy(times, passed, p):
         return why
     if not np.all(finite := is_finite(passed)):
-        return f"the motion goes to infinity at t = {times[np.argmin(finite)]:.3g}"
+        begun = jax.tree.map(lambda leaf: leaf[0], passed)
+        fastest = _fastest_rate(flow, float(times[0]), begun, p)
+        if fastest * (times[1] - times[0]) > _UNSTABLE:  # of the steps that are to show the motion, and no fault of it
+            return f"{_stiff(flow, fastest * flow.period)}; slow down what is fast in it, or ask for less"
+        _, finer_times, finer, _ = _motion_of(maps, sample, length, _FINER * _ROUGHLY)
+        if not np.all(still := is_finite(finer)):
+            end, step = times[np.argmin(finite)], times[1] - times[0]
+            moved = abs(finer_times[np.argmin(still)] - end) > _SAME_END * step
+            return "" if moved else f"the motion goes to infinity at t = {end:.3g}"
+        times, passed = finer_times, finer
     if kink := find_kink(flow, times, passed, p):
         return kink.description
     return _explain_rates(maps, flow, times, passed, p)
@@ -128,20 +139,20 @@ def _stiff(flow: Flow, fastest: float) -> str:
 
 
 def _motion_of(
-    maps: SampleMaps, sample: Samples, length: float | None = None
+    maps: SampleMaps, sample: Samples, length: float | None = None, steps: int = _ROUGHLY
 ) -> tuple[Flow, np.ndarray, State, Parameters]:
     """The flow of a sample of one state, times and states of its motion, and its parameters."""
     system = maps.flows[int(sample.row[0])]
     length = system.flow.period / maps.parts if length is None else length
     first = jax.tree.map(lambda leaf: leaf[0], sample)
     state = first.states if system.flow is system else first.states.state
-    return system.flow, *_motion(system.flow, state, first.p, length), first.p
+    return system.flow, *_motion(system.flow, state, first.p, length, steps), first.p
 
 
-def _motion(flow: Flow, y: State, p: Parameters, length: float) -> tuple[np.ndarray, State]:
+def _motion(flow: Flow, y: State, p: Parameters, length: float, steps: int = _ROUGHLY) -> tuple[np.ndarray, State]:
     """Times and states of a motion from t = 0 over a length of time, by the classical method of order 4."""
-    h = length / _ROUGHLY
-    times = h * np.arange(_ROUGHLY)
+    h = length / steps
+    times = h * np.arange(steps)
 
     @jax.jit
     def motion(y: State, p: Parameters) -> State:
