@@ -39,6 +39,7 @@ _LEFT_OUT = {
     "make test": "is what runs this",
     "pip install": "needs a network",
     "up.h5": "stands for results of the reader's own",
+    "manifolds.h5": "stands for results of the reader's own",
     "sleigh.h5": "stands for results of the reader's own",
     "duffing.h5": "stands for results of the reader's own",
 }
