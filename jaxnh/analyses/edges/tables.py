@@ -183,10 +183,7 @@ def _exact(made: Edges, lanes: LaneRunner) -> _Exact:
         measured = measure(batch, lanes, strobes, Cycles(lane, points, np.zeros(len(own), int)), made.space.size)
         exact.coarse[own], exact.points[own] = coarse, fine
         exact.direction[own] = germs[1].directions.reshape(len(own), n, d)[:, 0]
-        exact.multipliers[own] = measured.multipliers
-        size = np.abs(measured.multipliers)  # of a small one the rounding is that of the matrices, which are larger
-        rounding = n * _ROUNDING * size * (size[:, :1] / np.maximum(size, 1e-300)) ** (1.0 / n)
-        exact.errors[own] = measured.multipliers_error + rounding
+        exact.multipliers[own], exact.errors[own] = measured.multipliers, measured.multipliers_error
     return exact
 
 

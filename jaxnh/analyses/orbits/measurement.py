@@ -21,6 +21,7 @@ STABILITIES = ("none", "stable", "saddle", "repelling", "neutral")
 """Meanings of the flags −1 to 3 of `stability`."""
 
 _PROBE = 1e-7  # sizes: how far points are moved to see how multipliers depend on them
+_TINY = np.finfo(float).tiny
 _ROUNDING = 32.0 * np.finfo(float).eps  # sizes: of a point of an orbit, where it is far from a bifurcation
 
 
@@ -71,7 +72,9 @@ def measure(
     with np.errstate(divide="ignore", invalid="ignore"):
         rounding = _ROUNDING * np.maximum(1.0, 1.0 / np.min(np.abs(1.0 - values[1]), axis=1))
         error = np.abs(values[1] - values[0]) + (np.abs(aside - values[1]) / _PROBE) * rounding[:, None]
-        error += shape[1] * _ROUNDING * np.abs(values[1])
+        modulus = np.abs(values[1])  # of a small one the rounding is that of the matrices, which are larger
+        larger = (modulus[:, :1] / np.maximum(modulus, _TINY)) ** (1.0 / shape[1])
+        error += shape[1] * _ROUNDING * np.maximum(modulus, _TINY) * larger
         time_error = np.abs(times[1] - times[0]) + rounding * times[1] * batch.flow.autonomous
     order = (np.argmin(points[:, :, 0], axis=1)[:, None] + np.arange(shape[1])) % shape[1]
     points = np.take_along_axis(points, order[:, :, None], axis=1)
