@@ -322,7 +322,7 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
 
     @functools.cached_property
     def _in_periods(self) -> bool:
-        """Whether time is over the period: an axis decides the period, and no result has a time."""
+        """Tell whether time is over the period: an axis decides the period, and no result has a time."""
         untimed = all(options.untimed for options in self.analyses.options().values())
         swept = {name: grid.grid() for name, grid in self.sweep.grids.items() if name not in self._of_starts}
         return untimed and scales_time(self._file, self._own_parameters(), swept)

@@ -261,7 +261,7 @@ class Session:
                 raise InputError(f"{key} is an option of {analysis.name}, and no axis: run(jaxnh.{name}({key}=...))")
 
     def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...], find: Callable[..., Plan] = find_plan) -> Plan:
-        """The plan of a sweep that has these lanes, found if there is none yet."""
+        """The plan of a sweep that has these lanes, made if there is none yet."""
         requested = experiment.requested()
         drawn = frozenset(start_samplers(requested))
         for known, sectioned, starts, short, plan in self._plans:

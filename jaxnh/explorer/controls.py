@@ -56,7 +56,7 @@ class Controls:
 
     @property
     def widgets(self) -> list[Any]:
-        """Those that the source has a use for, from the top."""
+        """The widgets that the source has a use for, from the top."""
         plane, computes = bool(self._source.first.second), self._source.computes
         ends = [self._low, self._high, *((self._bottom, self._top) if plane else ())]
         depth = [] if plane or not computes else [self._transient, self._strobes]

@@ -24,7 +24,7 @@ _TALL = 420
 
 @dataclass(frozen=True)
 class EditorState:
-    """What an editor has: its files, its texts, and whether it is open.
+    """The state of an editor: its files, its texts, and whether it is open.
 
     Attributes:
         files: as they are on disk.

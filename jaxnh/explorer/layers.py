@@ -41,7 +41,7 @@ class Item(NamedTuple):
 
 
 class Layer(NamedTuple):
-    """What the legend switches on and off together.
+    """Marks that the legend switches on and off together.
 
     Attributes:
         name: in the legend.

@@ -1,4 +1,4 @@
-"""What `jaxnh explore` opens: a config, a saved view of it, or a result file, with results to be laid over it."""
+"""Files that `jaxnh explore` opens: a config, a saved view of it, or a result file, with results to be laid over it."""
 
 from __future__ import annotations
 

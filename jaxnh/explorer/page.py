@@ -41,7 +41,7 @@ _QUICK = 1.5  # seconds that a picture may take without a word of what is being 
 _REFUSED = "files are edited on the loopback alone: start jaxnh explore without --address, on this machine"
 
 Run = Callable[[dict[Path, str]], PageContent]
-"""What opens edited texts anew; raises `JaxnhError`."""
+"""The function that opens edited texts anew; raises `JaxnhError`."""
 
 
 class Page:
@@ -319,7 +319,7 @@ class Page:
 
     @property
     def seen(self) -> SavedView:
-        """What is seen beside the view."""
+        """The state of the page beside the view."""
         first = self._source.first
         whole = dict(first.ranges) if self._source.computes else {}
         selected = self._selected or None

@@ -1,4 +1,4 @@
-"""What runs in the browser: keys, touch, the rotation of a portrait, and the message when the server is gone."""
+"""Scripts of the browser: keys, touch, the rotation of a portrait, and the message when the server is gone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page shows, as a block of a config: a YAML that `jaxnh explore` opens and `jaxnh sweep` runs."""
+"""The view of a page as a block of a config: a YAML that `jaxnh explore` opens and `jaxnh sweep` runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxnh.explorer.view import View, as_query, from_query
 
 @dataclass(frozen=True)
 class SavedView:
-    """What is seen beside the numbers of a config.
+    """The view beside the numbers of a config.
 
     Attributes:
         view: words of the address of the page.

@@ -208,7 +208,7 @@ class EventPassage:
     # ---- parts of an event
 
     def _delays(self, end: Reading, along: list[PiecewisePoint], by_p: list[Any], arrival: Arrival) -> list[Array]:
-        """How much later each tangent arrives; a release changes no field, and needs none."""
+        """The delay with which each tangent arrives; a release changes no field, and needs none."""
         if not along:
             return []
         system, zero = self.system, jnp.zeros_like(end.t)

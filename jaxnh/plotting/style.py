@@ -47,7 +47,7 @@ class Size(NamedTuple):
 
 
 COLUMN, PAGE = Size(86 / _MM), Size(7.0)
-"""Of one column and of both, as most journals of physics have them."""
+"""Widths of one column and of both, as most journals of physics have them."""
 
 NARROW = 0.5 * (COLUMN.width + PAGE.width)
 """Width in inches below which a figure is a column: one panel a row, short labels, legends of two columns."""

@@ -10,4 +10,4 @@ class Iteration(ExplicitMethod):
 
 
 iteration = Iteration(a=((),), b=(1.0,), c=(0.0,), convergence_order=0, name="iteration", source="the map itself")
-"""Of every map, and of no flow: no config names it."""
+"""The method of every map, and of no flow: no config names it."""

@@ -28,7 +28,7 @@ StructureConstants = tuple[tuple[tuple[float, ...], ...], ...]
 
 
 class Kinematics(NamedTuple):
-    """How coordinates move with quasi-velocities.
+    """The rates of coordinates by quasi-velocities.
 
     Attributes:
         field: (q, u, t) to the rates q̇, linear in u.

@@ -225,7 +225,7 @@ class UserFile:
 
     @functools.cached_property
     def can_scale_time(self) -> bool:
-        """Whether it is a right-hand side with a period, without jumps, switches and corners."""
+        """Tell whether it is a right-hand side with a period, without jumps, switches and corners."""
         if self.mechanical or self.discrete:
             return False
         definition = self._with_switches(**self.parameters)

@@ -101,7 +101,7 @@ class _Passage(NamedTuple):
 
 
 class Shooting(NamedTuple):
-    """How manifolds are followed.
+    """The way in which manifolds are followed.
 
     Attributes:
         batch: lanes along the first axis, without a section.
@@ -182,7 +182,7 @@ def _manifolds(shooting: Shooting, chains: list[Chain]) -> Iterator[Manifold]:
 
 
 def _fits(start: SaddlePoint, end: SaddlePoint) -> bool:
-    """Whether orbits from one to the other are found at values of one parameter, and nowhere between."""
+    """Tell whether orbits from one to the other are there at single values of one parameter alone."""
     return len(start.unstable) == len(end.unstable)
 
 
@@ -242,7 +242,7 @@ def _directions(
 def _passages(
     shooting: Shooting, manifold: Manifold, path: Float[np.ndarray, "count d"], saddle: SaddlePoint, passed: float
 ) -> list[_Passage]:
-    """Where a path is nearest to a saddle in the coordinates of its eigenvectors, and on which side of it.
+    """The place where a path is nearest to a saddle in the coordinates of its eigenvectors, and the side.
 
     A path that leaves all bounds is on a side there too, as far from the saddle as it has been.
     """
@@ -286,12 +286,12 @@ def _refined(shooting: Shooting, manifold: Manifold, bracket: SideChange) -> Con
         if not (starts and arrivals):
             return None
         paths = _paths(shooting, manifold, starts, _directions(manifold, starts, direction), values)
-        found = [_passages(shooting, manifold, path, at, passed) for path, at in zip(paths, arrivals, strict=True)]
-        changed = [k for k in range(_FINER) if _first_difference(found[k], found[k + 1]) == pulse]
+        passages = [_passages(shooting, manifold, path, at, passed) for path, at in zip(paths, arrivals, strict=True)]
+        changed = [k for k in range(_FINER) if _first_difference(passages[k], passages[k + 1]) == pulse]
         if not changed:
             break
         for k in (changed[0], changed[0] + 1):
-            passage = found[k][pulse]
+            passage = passages[k][pulse]
             if best is None or passage.distance < best[0]:
                 best = passage.distance, paths[k, : passage.place + 1], float(values[k]), starts[k], arrivals[k]
         if best is not None and best[0] <= _NEAR_ENOUGH:

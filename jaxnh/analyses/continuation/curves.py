@@ -278,7 +278,7 @@ def _dataset(batch: LaneBatch, axes: Sequence[Axis], followed: _CurveSet, limit:
     names = " ".join(axis.name for axis in axes)
     attrs = {"limit": limit, "over": names}
     if not curves:
-        attrs["warnings"] = f"curves: no bifurcation was found to follow over {names.replace(' ', ' and ')}"
+        attrs["warnings"] = f"curves: there is no bifurcation to follow over {names.replace(' ', ' and ')}"
     return xr.Dataset(filled, attrs=attrs)
 
 

@@ -23,7 +23,7 @@ from jaxnh.orbits.continuation.kinds import HOPF
 from jaxnh.orbits.continuation.paths import StepControl
 
 AMPLITUDES = (0.01, 0.02, 0.05, 0.1, 0.2)
-"""Of cycles at Hopf points that are tried, in sizes of the box."""
+"""Amplitudes of cycles at Hopf points that are tried, in sizes of the box."""
 
 _FARTHEST = 100.0  # sizes of the box: equilibria further out are none of those looked for
 
@@ -72,7 +72,7 @@ def equilibria(
 def equilibria_in_a_box(
     still: LaneBatch, lanes: LaneRunner, starts: int, seed: int, box: Box
 ) -> tuple[Float[np.ndarray, "some d"], Float[np.ndarray, " some"], Float[np.ndarray, " d"]]:
-    """What Newton finds from random points at each lane of a batch without a section, along the first axis.
+    """Equilibria by Newton from random points at each lane of a batch without a section, along the first axis.
 
     Returns:
         Equilibria, many of them again and again; their values of the parameter; and the sizes of the box.

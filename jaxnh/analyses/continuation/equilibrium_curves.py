@@ -66,7 +66,7 @@ def equilibrium_curves(
     low: Float[np.ndarray, " 2"],
     high: Float[np.ndarray, " 2"],
 ) -> EquilibriumCurves:
-    """All curves that equilibria found by Newton from random starts lead to.
+    """All curves that equilibria by Newton from random starts lead to.
 
     Args:
         batches: lanes along the first axis, at values of the second.

@@ -258,7 +258,7 @@ def _dataset(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[FollowedCo
     names = " ".join(axis.name for axis in axes)
     attrs = {"over": names}
     if not curves:
-        attrs["warnings"] = f"homoclinic: no orbit was found to follow over {names.replace(' ', ' and ')}"
+        attrs["warnings"] = f"homoclinic: there is no orbit to follow over {names.replace(' ', ' and ')}"
     return xr.Dataset(filled, attrs=attrs)
 
 

@@ -122,7 +122,7 @@ def _period(part: FollowedBranches, points: int) -> int:
 def _warnings(axis: Axis, trees: Sequence[Tree]) -> str:
     """Lines for the user."""
     if not trees[0].branches:
-        return f"branches: no periodic orbit was found to follow along {axis.name}"
+        return f"branches: there is no periodic orbit to follow along {axis.name}"
     if lost := sum(tree.lost for tree in trees):
         return f"branches: {lost} sign changes of test functions led to no bifurcation that could be located"
     return ""

@@ -64,7 +64,7 @@ class LaneAttractors(NamedTuple):
 
 
 class Destinations(NamedTuple):
-    """Where states of lanes lead.
+    """The attractors that states of lanes lead to.
 
     Attributes:
         batch: of the lanes, in time.
@@ -95,16 +95,16 @@ def lane_attractors(
     for first in range(0, many.count, starts):
         own = np.arange(first, first + starts)
         part = select(records, own)
-        found = find_attractors(many.take(own), lanes, part, np.zeros(starts, int), max_period, most)
-        if found.attractors is None:
+        classified = find_attractors(many.take(own), lanes, part, np.zeros(starts, int), max_period, most)
+        if classified.attractors is None:
             labels, attractors = np.full(starts, UNDECIDED), None
         else:
-            hits = np.bincount(found.number[found.number >= 0], minlength=len(found.point))
+            hits = np.bincount(classified.number[classified.number >= 0], minlength=len(classified.point))
             order = np.argsort(-hits, kind="stable")[: min(MOST, np.count_nonzero(hits))]
-            order = order[_by_means(found.attractors, order)]
+            order = order[_by_means(classified.attractors, order)]
             place = np.full(len(hits) + 1, UNDECIDED)  # the last is that of no attractor
             place[order] = np.arange(len(order))
-            labels, attractors = place[found.number], select(found.attractors, order)
+            labels, attractors = place[classified.number], select(classified.attractors, order)
         labels[part.known == FAILED] = ESCAPES
         known.append(LaneAttractors(attractors, _targets(many, attractors), labels))
     return known

@@ -1,4 +1,4 @@
-"""Which orbits lie in the attractor, and of which kind the one of least period is, that carries it.
+"""Orbits in the attractor, and the kind of the one of least period, that carries it.
 
 Distances are in sizes of the motion, angles on their circle. An orbit lies in the attractor where each of its points is
 as near to the motion as its own points are to one another: nearer than 99 in 100 of them to the next one. It lies
@@ -33,7 +33,7 @@ _CLOSE = 1e-6  # sizes: an orbit this near is one that the motion has come to
 
 
 class Places(NamedTuple):
-    """Where orbits of n returns are, in the order of `Search.cycles`.
+    """The places of orbits of n returns, in the order of `Search.cycles`.
 
     Attributes:
         distance: largest of the distances of the points of an orbit to the motion, in sizes of the motion, (cycles,).
@@ -65,7 +65,7 @@ def places_of_orbits(
         trees[lane] = KDTree(cloud)
         spacing = trees[lane].query(cloud, k=2)[0][:, 1]
         typical[lane], largest[lane] = np.quantile(spacing, _TYPICAL), np.max(spacing)
-    found: dict[int, Places] = {}
+    places: dict[int, Places] = {}
     for n, measured in part.measured.items():
         lane = part.search.cycles[n].lane
         distance = np.full(len(lane), np.nan)
@@ -78,8 +78,8 @@ def places_of_orbits(
             distance <= np.maximum(typical[lane], _CLOSE),
             distance > np.maximum(_FAR * largest[lane], _CLOSE),
         ]
-        found[n] = Places(distance, np.select(conditions, [0, 1, 2], 3))
-    return found
+        places[n] = Places(distance, np.select(conditions, [0, 1, 2], 3))
+    return places
 
 
 def _on_circles(

@@ -47,7 +47,7 @@ class LaneOrbits(NamedTuple):
 
 
 class OrbitRow(NamedTuple):
-    """Where orbits of n returns of one batch go: lane and place in it, (cycles,)."""
+    """The rows of orbits of n returns of one batch: lane and place in it, (cycles,)."""
 
     part: LaneOrbits
     n: int

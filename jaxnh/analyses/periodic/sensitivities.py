@@ -119,7 +119,7 @@ def sensitivities(
             for name in kept
         ]
         results.append(rates(blocks, list(zip(*moved, strict=True))))
-    (first, _), (second, error) = (tuple(np.array(part) for part in zip(*found, strict=True)) for found in results)
+    (first, _), (second, error) = (tuple(np.array(part) for part in zip(*each, strict=True)) for each in results)
     names = names[len(kept) - second.shape[1] :]  # that of an implicit number is no function of its own parameter
     whole, errors = np.full((len(second), len(names)), np.nan), np.full((len(second), len(names)), np.nan)
     places = [place for place, name in enumerate(names) if name in kept]

@@ -12,32 +12,32 @@ from jaxnh.systems.flow import UNSAID
 
 
 def sensitivity_variables(
-    found: Sensitivities, batch: LaneBatch, dim: str, name: str, words: str, units: str
+    sensitivities: Sensitivities, batch: LaneBatch, dim: str, name: str, words: str, units: str
 ) -> dict[str, Entry]:
     """Variables of derivatives of a number, over its own dimension and `parameter`, with their errors.
 
     Args:
-        found: the derivatives.
+        sensitivities: the derivatives.
         batch: whose flow has the parameters.
         dim: of the numbers.
         name, words, units: of the number.
     """
-    each = {parameter: batch.flow.labels.units.get(parameter, UNSAID) for parameter in found.names}
+    each = {parameter: batch.flow.labels.units.get(parameter, UNSAID) for parameter in sensitivities.names}
     common = units if set(each.values()) <= {"1"} else UNSAID
     said = ", ".join(f"{parameter} in {unit}" for parameter, unit in each.items() if unit not in (UNSAID, "1"))
     more = {"comment": f"units of the number over those of the parameter: {said}"} if said else {}
     key, dims = f"{name}_sensitivity", (dim, "parameter")
     what = f"derivative of {words} in a parameter, all others held"
     return {
-        "parameter": variable("parameter", np.array(found.names), "parameter of the flow"),
-        key: variable(dims, found.rates, what, common, ancillary_variables=f"{key}_error", **more),
-        f"{key}_error": variable(dims, found.errors, f"error of the {what}", common),
+        "parameter": variable("parameter", np.array(sensitivities.names), "parameter of the flow"),
+        key: variable(dims, sensitivities.rates, what, common, ancillary_variables=f"{key}_error", **more),
+        f"{key}_error": variable(dims, sensitivities.errors, f"error of the {what}", common),
     }
 
 
-def absent_words(analysis: str, found: Sensitivities) -> str:
+def absent_words(analysis: str, sensitivities: Sensitivities) -> str:
     """Return a line for the user for each parameter in which there is no derivative; "" where there is none."""
-    lines = (f"{analysis}: no derivative in {name}: {reason}" for name, reason in found.absent.items())
+    lines = (f"{analysis}: no derivative in {name}: {reason}" for name, reason in sensitivities.absent.items())
     return "\n".join(lines)
 
 

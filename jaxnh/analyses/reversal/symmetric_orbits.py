@@ -82,8 +82,8 @@ def symmetric_orbits(
             for number in range(batch.count):
                 mine = roots[converged & (lane == number)]
                 if len(mine):
-                    found = _orbits_of_lane(batch.take(np.array([number])), lanes, strobe, mine, n, size[number])
-                    _add_new(orbits[number], found, size[number], wrap)
+                    closed = _orbits_of_lane(batch.take(np.array([number])), lanes, strobe, mine, n, size[number])
+                    _add_new(orbits[number], closed, size[number], wrap)
     return orbits
 
 

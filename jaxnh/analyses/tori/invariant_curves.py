@@ -82,7 +82,7 @@ class InvariantCurve:
 
 
 class CurveQuality(NamedTuple):
-    """What is known of a solution.
+    """The numbers of a solution.
 
     Attributes:
         converged: whether Newton has come to rest and all that matters is resolved.

@@ -1,4 +1,4 @@
-"""How long motions from random starts stay in a region, and the rate at which they leave it.
+"""Lifetimes of motions from random starts in a region, and the rate at which they leave it.
 
 On a chaotic saddle as many of the motions that are left leave in each period, so that lifetimes become geometric. Of
 motions that are still there in the end it is known that they live longer, no more: their periods count, their escape

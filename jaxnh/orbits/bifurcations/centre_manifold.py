@@ -139,7 +139,7 @@ def _divides(part: Order, whole: Order) -> bool:
 
 
 def _divisions(m: Order) -> Counter[tuple[Order, ...]]:
-    """How often the variables of an order are divided into the same parts."""
+    """The number of ways in which the variables of an order are divided into the same parts."""
     labels = [k for k, power in enumerate(m) for _ in range(power)]
     divisions = Counter[tuple[Order, ...]]()
     for blocks in _partitions(list(range(len(labels)))):

@@ -72,7 +72,7 @@ class Leading(NamedTuple):
 
     @property
     def shilnikov(self) -> bool:
-        """Whether infinitely many saddle cycles are near the orbit (Shilnikov, Math. USSR Sbornik 10 (1970) 91)."""
+        """Tell whether infinitely many saddle cycles are near (Shilnikov, Math. USSR Sbornik 10 (1970) 91)."""
         if self.kind != 1:
             return self.kind == 2
         return (self.saddle_quantity > 0.0) == (self.stable[0].imag != 0.0)
@@ -87,7 +87,7 @@ def leading(saddle: SaddlePoint) -> Leading:
 
 def special_connections(problem: Problem, curve: ConnectionCurve) -> list[tuple[int, SpecialConnection]]:
     """Points of codimension two on a curve of homoclinic orbits, each with the number of its stretch."""
-    found = list[tuple[int, SpecialConnection]]()
+    special = list[tuple[int, SpecialConnection]]()
     for number, stretch in enumerate(curve.stretches):
         for k in range(len(stretch.points) - 1):
             one, other = stretch.points[k : k + 2]
@@ -96,8 +96,8 @@ def special_connections(problem: Problem, curve: ConnectionCurve) -> list[tuple[
                 if np.isfinite(ends).all() and ends[0] * ends[1] < 0.0:
                     point = _locate(problem, stretch, k, test, ends)
                     if point is not None:
-                        found.append((number, point))
-    return found
+                        special.append((number, point))
+    return special
 
 
 # ---- test functions

@@ -175,7 +175,7 @@ def _zero_hopf(plane: FieldPlane, form: NormalForm) -> _CentreAt:
 def _crossings(
     section: SectionPlane, form: NormalForm, variable: int, centre: Float[np.ndarray, " d"], r: float
 ) -> Float[np.ndarray, "n d-1"] | None:
-    """Where a cycle crosses a section, in its coordinates; None where it does not, or more often than small ones do.
+    """The crossing of a cycle with a section, in its coordinates; None without one, or with more than small ones have.
 
     Of a section that is crossed in both directions the upward crossing comes first.
     """

@@ -41,7 +41,7 @@ class ShiftedTime(Protocol):
     """Time of return at the same points."""
 
     def __call__(self, name: str, shift: float, u: Float[np.ndarray, "points d"], /) -> Float[np.ndarray, " points"]:
-        """As of `ShiftedMap`."""
+        """Times of return from the points of `ShiftedMap`, with the same parameter shifted."""
         ...
 
 
@@ -201,17 +201,17 @@ def _difference(
     The error is the distance to the difference of fourth order, which bounds truncation, times what rounding needs, and
     the rounding of the result; no less than the distance to the second best width.
     """
-    found, errors = [], []
+    slopes, errors = [], []
     for width in _WIDTHS * scale:
         sides = [(function(x * width), function(-x * width)) for x in _PLACES]
         pairs = [ahead - behind for ahead, behind in sides]
         rows = np.array([wrap(pair) for pair in pairs] if wrap else pairs)
         sixth, fourth = (np.tensordot(weights, rows, 1) / width for weights in (_SIXTH, _FOURTH))
-        found.append(sixth)
+        slopes.append(sixth)
         errors.append(
             _ROUNDING * np.abs(sixth - fourth) + _ROUNDINGS * np.spacing(np.max(np.abs(sides), axis=(0, 1))) / width
         )
-    rates, bounds = np.array(found), np.where(np.isfinite(errors), errors, np.inf)
+    rates, bounds = np.array(slopes), np.where(np.isfinite(errors), errors, np.inf)
     order = np.argsort(bounds, axis=0, kind="stable")[:2]
     best, second = np.take_along_axis(rates, order, axis=0)
     with np.errstate(invalid="ignore"):

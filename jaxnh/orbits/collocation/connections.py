@@ -136,7 +136,7 @@ class ConnectionEquations:
         return LinearSolution(least, null, np.zeros_like(null), np.full(len(null), np.nan))
 
     def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
-        """As it is: paths go on beyond whole turns."""
+        """The gap as it is: paths go on beyond whole turns."""
         return gap
 
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:

@@ -78,17 +78,17 @@ class CyclePoint(NamedTuple):
 
     @property
     def resolved(self) -> bool:
-        """Whether the multipliers are known well enough to tell what changes along the branch."""
+        """Tell whether the multipliers are known well enough to see what changes along the branch."""
         return bool(np.all(self.errors <= _RESOLVED * np.maximum(1.0, np.abs(self.multipliers))))
 
     @property
     def fine(self) -> bool:
-        """Whether its mesh is fine enough."""
+        """Tell whether its mesh is fine enough."""
         return self.resolved and bool(self.bends.max() <= _SMOOTH)
 
     @property
     def even(self) -> bool:
-        """Whether errors are spread over its mesh evenly enough to stay on it."""
+        """Tell whether errors are spread over its mesh evenly enough to stay on it."""
         return bool(self.bends.max() <= max(_UNEVEN * np.median(self.bends), _EVEN_ENOUGH * _SMOOTH))
 
     @property

@@ -245,7 +245,7 @@ def collapses(
     wrap: Wrap,
     size: Float[np.ndarray, " d"],
 ) -> tuple[Bool[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
-    """Whether orbits come to those of a shorter period from one place to the next, and whether they are there."""
+    """Tell whether orbits come to those of a shorter period from one place to the next, or are there."""
     n = before.shape[1]
     collapsed, merged = np.zeros((2, len(before)), bool)
     for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):

@@ -88,7 +88,7 @@ class CurveEquations(Protocol):
         ...
 
     def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
-        """Which steps come to an end, by number in `paths.ENDS`, and which lead to a point that is not the curve's."""
+        """The steps that come to an end, by number in `paths.ENDS`, and those to a point that is not the curve's."""
         ...
 
 

@@ -21,8 +21,8 @@ ENDS = (
     "start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded", "resonance", "no_return",
     "bogdanov_takens", "no_saddle",
 )  # fmt: skip
-"""Why a curve ends: it was begun there, as at a bifurcation; a parameter leaves its range; the orbit is one of a
-shorter period; the curve is closed; Newton does not converge at the smallest step; as many points are known as were
+"""Reasons for which a curve ends: it was begun there, as at a bifurcation; a parameter leaves its range; the orbit is one
+of a shorter period; the curve is closed; Newton does not converge at the smallest step; as many points are known as were
 asked for; it leaves all bounds; multipliers become real at a resonance 1:1 or 1:2, from where on no torus is born; the
 map has no value further on, as of orbits that no longer reach their section; the frequency of Hopf points is zero; an
 equilibrium that an orbit connects is no hyperbolic saddle further on."""
@@ -148,7 +148,7 @@ class Path:
         self._now, self._past = begun.take(self.active), _first_history(begun.take(self.active))
         self._count, self._order = np.zeros(lanes, int), np.zeros(lanes, int)
         self._size = np.full(lanes, control.ds or 0.1 * control.ds_max)
-        self._wall = np.full(lanes, np.inf)  # how far ahead the map was found to have no value
+        self._wall = np.full(lanes, np.inf)  # how far ahead the map has no value, as far as is seen
         self._rows = [list[tuple[Solution, int]]() for _ in range(lanes)]
 
     def begin(self, lanes: Int[np.ndarray, " some"]) -> None:
