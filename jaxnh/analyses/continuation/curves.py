@@ -34,6 +34,7 @@ from jaxnh.analyses.continuation.equilibrium_curves import EquilibriumCurves, eq
 from jaxnh.analyses.continuation.families import check_plane, orbit_family, parameter_plane, step_control
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
+from jaxnh.analyses.continuation.tables import special_kinds, special_values
 from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
@@ -334,24 +335,12 @@ def _of_points(batch: LaneBatch, special: Sequence[_Point]) -> dict[str, Entry]:
 
 
 def _kind_and_curve(before: str, special: Sequence[_Point]) -> dict[str, Entry]:
-    """Kinds of points of codimension two, and the number of the curve that each is on."""
-    dim, curves = "codimension_two", np.array([one.curve for one in special], np.int32)
-    return {
-        f"{before}kind": flag(dim, [one.point.kind for one in special], "point of codimension two", POINTS),
-        f"{before}curve": variable(dim, curves, "number of the curve"),
-    }
+    return special_kinds(before, [one.point.kind for one in special], [one.curve for one in special], POINTS)
 
 
 def _at_special(name: str, axis: Axis, k: int, special: Sequence[_Point], words: str) -> dict[str, Entry]:
-    """The k-th parameter at points of codimension two, with its error."""
-    values = np.array([one.point.values[k] for one in special], float)
-    errors = np.array([one.error[k] for one in special], float)
-    return {
-        name: variable("codimension_two", values, words, axis.units, ancillary_variables=f"{name}_error"),
-        f"{name}_error": variable(
-            "codimension_two", errors, f"error of {name}; NaN where finer maps do not have the point", axis.units
-        ),
-    }
+    values, errors = [one.point.values[k] for one in special], [one.error[k] for one in special]
+    return special_values(name, axis, values, errors, words, "; NaN where finer maps do not have the point")
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:

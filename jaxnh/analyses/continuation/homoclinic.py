@@ -30,6 +30,7 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shooting, connection_seeds, saddle_chains
 from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
 from jaxnh.analyses.continuation.families import check_plane, no_collocation, plane_problem, step_control
+from jaxnh.analyses.continuation.tables import special_kinds, special_values
 from jaxnh.analyses.options.orbits import HomoclinicOptions
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.random_starts import check_box
@@ -291,18 +292,12 @@ def _saddle_columns(batch: LaneBatch, dims: tuple[str, str], along) -> dict[str,
 
 def _special_columns(axes: Sequence[Axis], curves: Sequence[FollowedConnections]) -> dict[str, Entry]:
     """Points of codimension two: kinds, numbers of their curves, and both parameters with errors."""
-    dim = "codimension_two"
-    special = [(k, one) for k, curve in enumerate(curves) for one in curve.special]
-    columns: dict[str, Entry] = {
-        f"{dim}_kind": flag(dim, [one.kind for _, one in special], "point of codimension two", POINTS),
-        f"{dim}_curve": variable(dim, np.array([k for k, _ in special], np.int32), "number of the curve"),
-    }
+    special, before = [(k, one) for k, curve in enumerate(curves) for one in curve.special], "codimension_two_"
+    columns = special_kinds(before, [one.kind for _, one in special], [k for k, _ in special], POINTS)
     for k, axis in enumerate(axes):
-        name, at = f"{dim}_{axis.name}", [one.values[k] for _, one in special]
         words = f"{axis.long_name} at the point of codimension two"
-        columns[name] = variable(dim, np.array(at, float), words, axis.units, ancillary_variables=f"{name}_error")
-        errors = np.array([one.error[k] for _, one in special], float)
-        columns[f"{name}_error"] = variable(dim, errors, f"error of {name}", axis.units)
+        values, errors = [one.values[k] for _, one in special], [one.error[k] for _, one in special]
+        columns |= special_values(f"{before}{axis.name}", axis, values, errors, words)
     return columns
 
 

@@ -285,3 +285,25 @@ def _outputs(
 
 def _parts(values: np.ndarray) -> np.ndarray:
     return np.stack([np.real(values), np.imag(values)], axis=-1)
+
+
+def special_kinds(
+    before: str, kinds: Sequence[int], curves: Sequence[int], meanings: Sequence[str]
+) -> dict[str, Entry]:
+    """Kinds of points of codimension two, and the numbers of the curves that they are on, names after a prefix."""
+    dim = "codimension_two"
+    return {
+        f"{before}kind": flag(dim, list(kinds), "point of codimension two", meanings),
+        f"{before}curve": variable(dim, np.array(curves, np.int32), "number of the curve"),
+    }
+
+
+def special_values(
+    name: str, axis: Axis, values: Sequence[float], errors: Sequence[float], words: str, unknown: str = ""
+) -> dict[str, Entry]:
+    """A parameter at points of codimension two, with its error; `unknown` says when that is NaN."""
+    dim, of = "codimension_two", f"error of {name}{unknown}"
+    return {
+        name: variable(dim, np.array(values, float), words, axis.units, ancillary_variables=f"{name}_error"),
+        f"{name}_error": variable(dim, np.array(errors, float), of, axis.units),
+    }
