@@ -57,7 +57,7 @@ from tests.helpers.commands import Command, run_here, run_process  # noqa: E402
 from tests.helpers.kept_calibrations import calibrating_by, once, unless_given  # noqa: E402
 from tests.helpers.kept_programs import lanes_with_kept_programs  # noqa: E402
 
-pytest_plugins = ["tests.helpers.battery", "tests.helpers.parts"]
+pytest_plugins = ["pytester", "tests.helpers.battery", "tests.helpers.parts"]
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import jaxnh
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.cascade.follow import follow
 from jaxnh.analyses.exponents import lyapunov
@@ -21,10 +22,11 @@ from jaxnh.systems.particle import CHART, constant_speed
 from tests.helpers import taylor
 from tests.helpers.batches import batch_of
 from tests.helpers.battery import worst
+from tests.helpers.paths import ROOT
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SCENE = batch_of(constant_speed(), START, [5.54], SPLITTINGS["kahan_li8"], 320, True, 1e-11)
-FEIGENBAUM = 4.669201609102990
+FEIGENBAUM, ALPHA = 4.669201609102990, 2.502907875095892  # Briggs, Math. Comp. 57 (1991) 435
 
 
 def turned(blocks, basis):
@@ -173,6 +175,25 @@ def test_deep_in_the_cascade(battery, lanes, one_period):
             1e-6,
             "error, relative,",
         )
+
+
+@pytest.mark.slow
+@pytest.mark.case("Deep in the cascade")
+def test_deep_in_the_cascade_of_the_governor(battery):
+    """δ and α of a user's flow in double-double precision, to what extrapolation leaves of corrections of the last level.
+
+    Those are δ⁻ⁿ and α⁻ⁿ of n levels, and extrapolation takes out these at least; see `tests.analyses.test_extended_cascade`.
+    """
+    levels = 16 if battery.full else 12
+    asked = ["sweep.drive.start=0.83", "accuracy.target=1e-3", "accuracy.precision=extended"]
+    asked.append(f"analyses={{doubling: {{levels: {levels}}}}}")
+    data = jaxnh.Session(jaxnh.load(ROOT / "configs/governor.yaml", asked)).run("doubling")
+    assert data["levels_found"] == levels
+    for name, limit, exact, rate in (("δ", "delta_limit", FEIGENBAUM, FEIGENBAUM), ("α", "alpha", ALPHA, ALPHA)):
+        shown = f"the governor's {levels} levels in double-double precision: {name}"
+        off, error = abs(float(data[limit]) - exact), float(data[f"{limit}_error"])
+        battery.row(f"{shown}, distance from Feigenbaum's", off / error, 1.0, "over its error")
+        battery.row(f"{shown}, its error", error, rate**-levels, "of corrections of the last level:")
 
 
 def log_volume(strobe, u, p):

@@ -1,7 +1,8 @@
 """Parts of the slow tests, of even length: `--part k/n` keeps the modules of the k-th of n parts.
 
-A module stays whole, as its tests share programs and references. How long each takes is kept beside this file, in
-`slow_seconds.json`, which `--keep-seconds` writes anew; a module that is not there takes as long as the median of the others.
+A module stays whole, as its tests share programs and references. Seconds of processor that each takes are kept beside
+this file, in `slow_seconds.json`, which `--keep-seconds` writes anew, those of processes that tests start among them and
+whatever else the machine does; a module that is not there takes as long as the median of the others.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import heapq
 import json
+import os
 import statistics
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -50,8 +52,10 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    if config.getoption("--keep-seconds") and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(_Seconds(), "seconds of modules")
+    if config.getoption("--keep-seconds"):
+        config.pluginmanager.register(_Processor(), "seconds of phases")
+        if not hasattr(config, "workerinput"):
+            config.pluginmanager.register(_Seconds(), "seconds of modules")
 
 
 @pytest.hookimpl(trylast=True)
@@ -62,6 +66,20 @@ def pytest_collection_modifyitems(config, items):
     modules = modules_of_part([_module(item.nodeid) for item in items], seconds, *wanted)
     config.hook.pytest_deselected(items=[item for item in items if _module(item.nodeid) not in modules])
     items[:] = [item for item in items if _module(item.nodeid) in modules]
+
+
+class _Processor:
+    """Tells each report the seconds of processor since the one before, of this process and of those that have ended."""
+
+    def __init__(self):
+        self._before = sum(os.times()[:4])
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self):
+        report = yield
+        now = sum(os.times()[:4])
+        report.processor, self._before = now - self._before, now
+        return report
 
 
 class _Seconds:
@@ -76,7 +94,7 @@ class _Seconds:
         if module not in self._seen:
             self._seen.add(module)
             self._seconds[module] = 0.0
-        self._seconds[module] += report.duration
+        self._seconds[module] += report.processor
 
     def pytest_sessionfinish(self):
         rounded = {name: round(value, 1) for name, value in sorted(self._seconds.items())}
