@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxnh import open_result
 from jaxnh.engine.cache import executables
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
@@ -22,6 +23,7 @@ from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.user_file import UserFile
 from tests.flows.particle import SYSTEMS
 from tests.helpers.cases import some_slow
+from tests.helpers.commands import run_process
 from tests.helpers.paths import ROOT
 
 COUNT = 9
@@ -247,3 +249,37 @@ def test_derivatives_of_users_own_are_not_kept(folder, tmp_path):
     """What they come to stands in no equation."""
     before = "import jax\n@jax.custom_jvp\ndef own(x):\n    return x\nown.defjvp(lambda p, t: (p[0], t[0]))\n"
     assert of_user(tmp_path / "d.py", before=before, force="own(y[0])") is None
+
+
+RATES = """import jax.numpy as jnp
+
+
+def system(fast=50.0):
+    def rhs(y, t):
+        return [x * (1.0 - x * x) - fast * (x - after) for x, after in zip(y, y[1:] + y[:1], strict=True)]
+
+    return dict(rhs=rhs, coordinates=tuple(f"x{i}" for i in range(9)))
+"""
+
+STIFF = """\
+system: {file: rates.py}
+initial: {x0: 0.5}
+sweep: {fast: {values: [50.0]}}
+accuracy: {solver: rodas5p, steps: 8}
+analyses:
+  portrait: {transient: 0, periods: 2, samples: 2}
+"""
+
+
+def test_functions_of_lapack_are_looked_up_for_a_kept_program(tmp_path, monkeypatch):
+    """Matrices of nine coordinates are factorised by LAPACK, which a process that lowers nothing has not looked up."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "rates.py").write_text(RATES)
+    (tmp_path / "stiff.yaml").write_text(STIFF)
+    for name in ("first.h5", "second.h5"):
+        done = run_process("stiff.yaml", "--output", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    kept = [path.read_bytes() for path in (tmp_path / "cache" / "jaxnh").iterdir()]
+    assert any(b"lapack_dgetrf" in data for data in kept)
+    first, second = (open_result(tmp_path / name)["portrait"] for name in ("first.h5", "second.h5"))
+    assert first.to_dataset().identical(second.to_dataset())

@@ -28,6 +28,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax import lax
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
@@ -46,6 +47,7 @@ _SETTINGS = (
     "jax_disable_jit",
     "jax_exec_time_optimization_effort",
 )
+_LAPACK = b"lapack_"  # names of functions of LAPACK in a program begin with it
 _ACCOUNTED = ("jaxnh", *_LIBRARIES, "builtins", "math", "collections")  # modules whose text the versions say
 
 
@@ -199,6 +201,8 @@ def find(name: str, inputs: Any, devices: Sequence[Any]) -> Any:
         return None
     try:
         payload, outputs = pickle.load(io.BytesIO(data))
+        if _LAPACK in payload:
+            _find_lapack()
         return serialize_executable.deserialize_and_load(payload, inputs, outputs, execution_devices=devices)
     except Exception:  # whatever another library says of a file that it cannot load: it is written anew
         return None
@@ -214,6 +218,12 @@ def keep(name: str, program: Any) -> None:
     except Exception:  # programs that call back, or constants: JAX names no set of errors for what it cannot write
         return
     store.keep(name, data)
+
+
+@cache
+def _find_lapack() -> None:
+    """Let jaxlib look up LAPACK's functions, as it does where one is lowered: a program that was kept calls them at once."""
+    jax.jit(lax.linalg.lu).lower(jax.ShapeDtypeStruct((1, 1), np.float64))
 
 
 @contextmanager
