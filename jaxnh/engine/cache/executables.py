@@ -222,7 +222,7 @@ def keep(name: str, program: Any) -> None:
 
 @cache
 def _find_lapack() -> None:
-    """Let jaxlib look up LAPACK's functions, as it does where one is lowered: a program that was kept calls them at once."""
+    """Let jaxlib look up the functions of LAPACK, as where one is lowered: a kept program calls them at once."""
     jax.jit(lax.linalg.lu).lower(jax.ShapeDtypeStruct((1, 1), np.float64))
 
 
