@@ -7,12 +7,14 @@ written anew as a function of (y, t, side), in which they read the side of their
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.extend import core
 
 from jaxnh.systems.definition import Definition
@@ -24,6 +26,7 @@ _OPERANDS = {"abs": ((0, None),), "sign": ((0, None),), "max": ((0, 1),), "min":
 _OPERANDS |= dict.fromkeys(_COMPARISONS, ((0, 1),))
 _WITHOUT_SURFACE = ("floor", "ceil", "round", "rem", "argmax", "argmin", "sort", "reduce_max", "reduce_min")
 _CONTINUOUS = ("abs", "max", "min", "clamp", "reduce_max", "reduce_min", "sort")
+_EXTREMES = {"reduce_max": lax.max, "reduce_min": lax.min}
 _LINEAR = ("add", "sub", "mul", "neg", "select_n", "convert_element_type", "broadcast_in_dim", "jit", "pjit")
 _MOST_SURFACES = 64  # each is looked at after every step
 _PROBES = 16  # random states, for each surface
@@ -60,7 +63,7 @@ class PiecewiseField:
         """
         y = (0.0,) * len(define(**parameters)["coordinates"])
         self._program = program = Program(
-            lambda p, y, t: define(**p)["rhs"](y, t), dict(parameters), y, 0.0, written_out=_is_piecewise_linear
+            lambda p, y, t: define(**p)["rhs"](y, t), dict(parameters), y, 0.0, written_out=_in_pieces
         )
         moving = [0] * len(parameters) + [1] * (len(y) + 1)
         self._moves, self._fixed = program.depends(moving), self._constants()
@@ -385,9 +388,21 @@ def _equations_within(equation: Any) -> Iterator[Any]:
                 yield from _equations_within(each)
 
 
-def _is_piecewise_linear(equation: Any) -> bool:
-    """Return whether an equation that defines its own derivative is one of straight pieces, as `jax.nn.relu`."""
+def _in_pieces(equation: Any) -> Any:
+    """The program in place of an equation of straight pieces, as `jax.nn.relu`, or of an extreme of few numbers."""
+    if equation.primitive.name in _EXTREMES:
+        number, made = equation.invars[0].aval, equation.outvars[0].aval
+        if not 0 < number.size - made.size <= _MOST_SURFACES or not _is_real(equation):
+            return None
+        axes, extreme = equation.params["axes"], _EXTREMES[equation.primitive.name]
+
+        def by_pairs(numbers: Any) -> Any:
+            first = jnp.moveaxis(numbers, axes, range(len(axes))).reshape(-1, *made.shape)
+            return functools.reduce(extreme, list(first))
+
+        return jax.make_jaxpr(by_pairs)(number)
     if not equation.primitive.name.startswith("custom_jvp"):
-        return False
+        return None
     names = {each.primitive.name for each in _equations_within(equation)}
-    return not names.isdisjoint(_OPERANDS) and names <= {*_OPERANDS, *_LINEAR}
+    linear = not names.isdisjoint(_OPERANDS) and names <= {*_OPERANDS, *_LINEAR}
+    return equation.params["call_jaxpr"] if linear else None

@@ -54,14 +54,14 @@ class Program:
     """
 
     def __init__(
-        self, function: Callable[..., Any], *arguments: Any, written_out: Callable[[Any], bool] = lambda _: False
+        self, function: Callable[..., Any], *arguments: Any, written_out: Callable[[Any], Any] = lambda _: None
     ) -> None:
         """Trace it.
 
         Args:
             function: of pytrees.
             arguments: pytrees of numbers or arrays; their shapes are read, and all are taken in double precision.
-            written_out: whether an equation that defines its own derivative is written out like other calls.
+            written_out: the program in place of an equation, whose own equations are listed, or None.
         """
         closed, out = jax.make_jaxpr(function, return_shape=True)(*(_abstract(a) for a in arguments))
         self._program, self._constants = closed.jaxpr, closed.consts
@@ -161,8 +161,8 @@ class Program:
 
         for equation in jaxpr.eqns:
             reads = tuple(read(atom) for atom in equation.invars)
-            if equation.primitive.name in _INLINED or self._written_out(equation):
-                inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
+            inner = equation.params["jaxpr"] if equation.primitive.name in _INLINED else self._written_out(equation)
+            if inner is not None:
                 made: Sequence[Slot | KnownValue] = self._inline(inner.jaxpr, inner.consts, reads)
             else:
                 made = self._add(equation, reads)

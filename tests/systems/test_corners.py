@@ -48,6 +48,11 @@ SURFACES = {
         1,
     ),
     "of an array": (lambda y, t, a: tuple(jnp.abs(jnp.stack(y) - a)), 3),
+    "extremes of arrays": (
+        lambda y, t, a: (jnp.max(jnp.stack(y)), jnp.min(jnp.stack([y[0], a, y[1]])), jnp.max(jnp.stack([*y, t]))),
+        7,
+    ),
+    "extremes of rows": (lambda y, t, a: tuple(jnp.min(jnp.outer(jnp.stack(y), jnp.array([1.0, 2.0])), axis=1)), 3),
     "within another": (lambda y, t, a: (jnp.abs(jnp.abs(y[0]) - a), 0.0, 0.0), 2),
     "within a condition": (lambda y, t, a: (jnp.where(jnp.abs(y[0]) < a, y[1], 0.0), 0.0, 0.0), 1),
     "on what jumps": (lambda y, t, a: (jnp.abs(step(y[0]) * y[1]), step(y[0]), 0.0), 1),
