@@ -84,7 +84,8 @@ class GeneralStrobe(ReturnMap):
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps and, where there is one, of the loop over stages."""
         steps = () if self.steps is None else (float(np.mean(self.steps)),)
-        return (*steps, float(self.solver.stages)) if self._rolls(0) else steps  # pyright: ignore[reportAttributeAccessIssue]
+        rolls = first_of_stack(self, np.ndim(self.steps))._rolls(0)
+        return (*steps, float(self.solver.stages)) if rolls else steps
 
     def _rolls(self, tangents: int) -> bool:
         if not isinstance(self.solver, WrittenOutRungeKutta):
@@ -338,6 +339,11 @@ def roomy_grid(grid: np.ndarray) -> np.ndarray:
 def stack_leaves(system: Any, parts: tuple[int, ...]) -> Any:
     """A flow as `lax.scan` takes it: every leaf with the parts as first axis, where there are some."""
     return jax.tree.map(lambda leaf: np.full(parts, leaf, float), system) if parts else system
+
+
+def first_of_stack(stack: Any, axes: int) -> Any:
+    """The first flow or map of a stack whose leaves have so many axes of parts before their own."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[(0,) * axes], stack) if axes else stack
 
 
 def unit_step(system: Flow, solver: Any) -> GeneralStrobe:

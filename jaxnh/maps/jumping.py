@@ -23,6 +23,7 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.crossings import MOST_SHOTS, SETTLED, improve_share
 from jaxnh.maps.general_flow import (
     Moving,
+    first_of_stack,
     lanes_per_tile,
     linearise,
     own_parameters,
@@ -71,7 +72,8 @@ class JumpingStrobe(ReturnMap):
     @property
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps, those to walls left out, and of the loop over stages, where it is one."""
-        inner = (float(self.solver.stages),) if stages_in_loop(self.system, self.solver, 0) else ()
+        system = first_of_stack(self.system, np.ndim(self.steps))
+        inner = (float(self.solver.stages),) if stages_in_loop(system, self.solver, 0) else ()
         return float(np.mean(self.steps)), *inner
 
     def __call__(self, state: PiecewisePoint, p: Parameters) -> PiecewisePoint:

@@ -14,9 +14,11 @@ from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_parts, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
+from jaxnh.maps.jumping import jumping_strobe
 from jaxnh.maps.protocol import Tangent
-from jaxnh.solvers import dopri8, nystrom8, tsit5
+from jaxnh.solvers import dopri8, nystrom8, tsit5, verner9
 from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.systems.corners import with_switches
 from jaxnh.systems.flow import CHATTERING
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 
@@ -501,3 +503,19 @@ def test_both_directions():
             strobe = make_return_map(system, dopri8, steps)
             ours = jax.jit(lambda u, n=n, strobe=strobe: derivatives(strobe, n, u, {}).image)(jnp.asarray(start))
             assert np.abs(np.asarray(ours) - y).max() < 1e-10
+
+
+def test_trip_counts_of_stacked_maps_of_an_array_field():
+    """A parameter that all lanes share is an array of the parts in a stack, and no number that multiplies a matrix."""
+
+    def define(a=1.0, r=2.0):
+        def rhs(y, t):
+            x = jnp.stack(y)
+            return jnp.abs(r * (2.0 * jnp.eye(2) @ jnp.stack([x, x]))).sum(axis=1) - a * x
+
+        return {"rhs": rhs, "coordinates": ("x", "y")}
+
+    values = {"a": 1.0, "r": 2.0}
+    system = piecewise_smooth(with_switches(define, values), values, ("a",))
+    grids = np.linspace(0.0, 1.0, 5) + np.arange(3.0)[:, None]
+    assert jumping_strobe(system, verner9, grids).trip_counts == jumping_strobe(system, verner9, grids[0]).trip_counts
