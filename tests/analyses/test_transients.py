@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.analyses.transients.crisis_scaling import fit_crisis
 from jaxnh.analyses.transients.lifetimes import escape_rate
 from jaxnh.exceptions import InputError
 
@@ -96,6 +97,42 @@ def test_rates_of_lifetimes_that_are_censored():
     assert nothing.escapes[0] == 0
 
 
+def open_power(a=1.01, order=2):
+    """a (1 − |2x − 1|^order): its maximum is 1 at a = 1, and leaves (0, 1) over a width of (a − 1)^(1/order)."""
+    return {"map": lambda y: a * (1.0 - jnp.abs(2.0 * y[0] - 1.0) ** order), "coordinates": "x"}
+
+
+def test_the_crisis_of_maps_of_one_maximum():
+    """The rate begins as a power 1/order of a − 1: 1/2 of the logistic map, whose r is 4a; of the tent map it is ln a."""
+    session, order = jaxnh.Session(open_power, start={"x": 0.3}), np.array([2.0, 1.0])
+    options = jaxnh.Transients(n_starts=1024, box={"x": (0.0, 1.0)}, crisis=True)
+    data = session.run(options, a=1.0 + np.geomspace(0.002, 0.1, 16), order=order)
+    for name, exact, least in (("crisis", 1.0, 0.01), ("crisis_exponent", 1.0 / order, 0.5)):
+        assert data[name].dims == ("order",)
+        assert np.all(np.abs(data[name] - exact) <= data[f"{name}_error"])
+        assert np.all(data[f"{name}_error"] < least)
+
+
+@pytest.mark.parametrize(("exponent", "curvature"), [(0.5, 0.0), (1.0, 1.0), (1.5, -1.0)])
+def test_intervals_of_power_laws(exponent, curvature):
+    """Escapes that are drawn from κ = x^γ exp(−c x^γ), falling towards the crisis from above or from below."""
+    draws, x = np.random.default_rng(6), np.linspace(0.02, 0.3, 20)
+    rate = np.minimum(x**exponent * np.exp(-curvature * x**exponent), 1.0)
+    covered = []
+    for side in (1.0, -1.0) * 50:
+        escapes = draws.poisson(1000 * np.ones_like(x))
+        fitted = fit_crisis(2.0 + side * x, rate * escapes / 1000, escapes)
+        errors = abs(fitted.value - 2.0), abs(fitted.exponent - exponent)
+        covered.append([errors[0] <= fitted.value_error, errors[1] <= fitted.exponent_error])
+    assert np.all(np.mean(covered, axis=0) >= LEAST)
+
+
+def test_power_laws_of_too_few_values():
+    """Values with fewer than sixteen escapes do not count."""
+    escapes = np.where(np.arange(12) < 5, 3, 1000)
+    assert np.isnan(fit_crisis(np.linspace(1.0, 2.0, 12), np.linspace(0.1, 0.2, 12), escapes)).all()
+
+
 def test_options_that_do_not_go_together():
     with pytest.raises(InputError, match="must be less than max_periods"):
         jaxnh.Transients(box={"x": (0.0, 1.0)}, max_periods=16, transient=16)
@@ -104,3 +141,5 @@ def test_options_that_do_not_go_together():
         session.run(jaxnh.Transients(box={"x": (0.0, 1.0)}, region={"y": (0.0, 1.0)}))
     with pytest.raises(InputError, match="needs a box to draw its starts from"):
         session.run(jaxnh.Transients())
+    with pytest.raises(InputError, match="a power law is fitted to 8 values of the first axis or more"):
+        session.run(jaxnh.Transients(box={"x": (0.0, 1.0)}, crisis=True), left=[3.0, 3.1])
