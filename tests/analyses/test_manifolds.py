@@ -78,9 +78,11 @@ def test_the_cat_map():
 
 
 def pendulum(g=1.0):
+    """In a time that runs unevenly, and is a unit later after a period."""
+
     def rhs(y, t):
-        angle, rate = y
-        return rate, -g * jnp.sin(angle)
+        (angle, rate), speed = y, 1.0 + 0.5 * jnp.cos(2 * jnp.pi * t)
+        return speed * rate, -speed * g * jnp.sin(angle)
 
     return {"rhs": rhs, "coordinates": ("angle", "rate"), "angles": ("angle",), "period": 1.0}
 
