@@ -84,7 +84,7 @@ def test_errors_of_orbits_that_are_missing():
     """Without the longest words the error is larger, and has the exact value; of three orders nothing is said."""
     cycles = cycles_of(6, np.log([2.0, 2.0]))
     fewer = WeightedCycles(*(leaf[:-2] for leaf in cycles))
-    more = fewer._replace(count=np.where(fewer.returns == 6, 9 / 7, 1.0))
+    more = fewer._replace(number=np.where(fewer.returns == 6, 9 / 7, 1.0))
     averages = cycle_averages(fewer, 6, [more])
     assert abs(averages.mean[0]) > 0.01
     assert np.all(np.abs(averages.mean - [0.0, np.log(2), 1.0]) <= averages.error)

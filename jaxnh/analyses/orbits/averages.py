@@ -81,9 +81,9 @@ def _averages_of_lane(
     cycles = known.cycles
     others = [cycles._replace(time=cycles.time + known.time_error, growth=cycles.growth + known.growth_error)]
     if np.any(known.most > 1.0):
-        others.append(cycles._replace(count=known.most))
+        others.append(cycles._replace(number=known.most))
     if np.any(known.doubtful):
-        others.append(cycles._replace(count=np.where(known.doubtful, 0.0, 1.0)))
+        others.append(cycles._replace(number=np.where(known.doubtful, 0.0, 1.0)))
     return cycle_averages(cycles, len(missing), others)
 
 
@@ -132,7 +132,7 @@ def _time_averages(batch: LaneBatch, lanes: LaneRunner, motion: Float[np.ndarray
                 growth[:, block] += np.log(np.abs(np.diagonal(triangles, axis1=1, axis2=2)))
     positive = np.mean(growth[:, 1:], axis=1, keepdims=True) > 0.0
     total = np.sum(growth, axis=2, where=np.broadcast_to(positive, growth.shape))
-    total = np.where(np.isfinite(motion).all(axis=(1, 2))[:, None], total, np.nan)
+    total = np.where(np.all(np.isfinite(motion), axis=(1, 2))[:, None], total, np.nan)
     return average_blocks(np.stack([total / time, time / each], axis=-1)[:, 1:])
 
 

@@ -30,13 +30,13 @@ class WeightedCycles(NamedTuple):
         returns: n_p, (cycles,).
         time: T_p, (cycles,).
         growth: ln|Λ_p|, (cycles,).
-        count: for how many orbits each stands, (cycles,).
+        number: of orbits that each stands for, (cycles,).
     """
 
     returns: Int[np.ndarray, " cycles"]
     time: Float[np.ndarray, " cycles"]
     growth: Float[np.ndarray, " cycles"]
-    count: Float[np.ndarray, " cycles"]
+    number: Float[np.ndarray, " cycles"]
 
 
 class CycleAverages(NamedTuple):
@@ -64,7 +64,7 @@ def cycle_averages(cycles: WeightedCycles, limit: int, others: Sequence[Weighted
     if limit < _ORDERS or not len(cycles.returns):
         return UNKNOWN
     values = truncated_averages(cycles, orders)
-    known = np.isfinite(values).all(axis=1)
+    known = np.all(np.isfinite(values), axis=1)
     if not known[-1] or known.sum() < _ORDERS - 1:
         return UNKNOWN
     last, error = values[-1], np.ptp(values[known], axis=0)
@@ -78,20 +78,32 @@ def cycle_averages(cycles: WeightedCycles, limit: int, others: Sequence[Weighted
 def truncated_averages(cycles: WeightedCycles, orders: Sequence[int]) -> Float[np.ndarray, "orders 3"]:
     """Return escape rate, exponent, and time between returns for truncations; not numbers where 1/ζ has no zero."""
     values = np.full((len(orders), 3), np.nan)
-    unit = cycles.time.sum() / cycles.returns.sum()
-    start = 0.0
+    unit = float(cycles.time.sum() / cycles.returns.sum())
+    s = 0.0
     for i, order in enumerate(orders):
-        s = start
-        for _ in range(_STEPS):
-            zeta, (time, growth, returns) = _zeta(cycles, order, s)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                step = np.clip(zeta / time, -1.0 / unit, 1.0 / unit)
-            s -= step
-            if not abs(step) > _CONVERGED / unit:
-                break
-        if abs(step) <= _CONVERGED / unit:
-            values[i], start = (-s, growth / time, time / returns), s
+        zero = _zero(cycles, order, s, unit)
+        if zero is not None:
+            s, (time, growth, returns) = zero
+            values[i] = -s, growth / time, time / returns
     return values
+
+
+def _zero(cycles: WeightedCycles, order: int, s: float, unit: float) -> tuple[float, Float[np.ndarray, " sums"]] | None:
+    """Return the zero of a truncation that Newton finds from s, and the sums there; None where there is none near.
+
+    Args:
+        unit: mean time between returns.
+    """
+    for _ in range(_STEPS):
+        zeta, sums = _zeta(cycles, order, s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = float(np.clip(zeta / sums[0], -1.0 / unit, 1.0 / unit))
+        s -= step
+        if abs(step) <= _CONVERGED / unit:
+            return s, sums
+        if not np.isfinite(step):
+            break
+    return None
 
 
 def _zeta(cycles: WeightedCycles, order: int, s: float) -> tuple[float, Float[np.ndarray, " sums"]]:
@@ -105,7 +117,7 @@ def _zeta(cycles: WeightedCycles, order: int, s: float) -> tuple[float, Float[np
     for r in range(1, order + 1):
         k = cycles.returns * r
         kept = k <= order
-        weight = (cycles.count * cycles.returns * np.exp(-r * (s * cycles.time + cycles.growth)))[kept]
+        weight = (cycles.number * cycles.returns * np.exp(-r * (s * cycles.time + cycles.growth)))[kept]
         trace += np.bincount(k[kept], weight, order + 1)
         sums += [np.bincount(k[kept], weight * r * amount[kept], order + 1) for amount in amounts]
     coefficients, derivatives = np.zeros(order + 1), np.zeros((3, order + 1))

@@ -44,10 +44,10 @@ def fit_crisis(
     known = (escapes >= _FEWEST_ESCAPES) & (rate < _LARGEST)
     values, logs, weights = values[known], np.log(rate[known]), escapes[known].astype(float)
     if len(np.unique(values)) < FEWEST_VALUES:
-        return CrisisScaling(*[np.nan] * 4)
+        return CrisisScaling(np.nan, np.nan, np.nan, np.nan)
     away = 1.0 if np.cov(values, logs)[0, 1] > 0.0 else -1.0
     order = np.argsort(away * values, kind="stable")
-    nearest, x = values[order[0]], away * (values - values[order[0]])
+    nearest, x = float(values[order[0]]), away * (values - values[order[0]])
     half = order[: max(len(order) // 2, _FEWEST_FITTED)]
     near, every = (_profile(x[part], logs[part], weights[part]) for part in (half, order))
     return CrisisScaling(
