@@ -50,7 +50,7 @@ OPTIONS = {
     "homoclinic": {"box": {"u": (-1.0, 1.0)}},
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
-    "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256},
+    "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256, "averages": True},
     "covariant": {"transient": 64, "strobes": 256},
     "transients": {
         "n_starts": 16,

@@ -366,6 +366,13 @@ def _pictures() -> list[Claim]:
             "slope of error against periods",
         ),
         Claim(
+            "docs/howto/manifolds.md",
+            "points of (b) lie on the curves that were there in (a) without a point on them",
+            "make manifolds",
+            "results/manifolds.png",
+            "lower panels",
+        ),
+        Claim(
             "results/README.md",
             "chaos at small b too: b < 0.21 at constant speed, b < 0.05 disturbed",
             "make range_constant range_disturbed",

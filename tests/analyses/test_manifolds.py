@@ -77,6 +77,43 @@ def test_the_cat_map():
         assert np.abs((crossings[:, None] + lattice[None]) @ normal).min(axis=1).max() < 1e-8
 
 
+def pendulum(g=1.0):
+    """In a time that runs unevenly, and is a unit later after a period."""
+
+    def rhs(y, t):
+        (angle, rate), speed = y, 1.0 + 0.5 * jnp.cos(2 * jnp.pi * t)
+        return speed * rate, -speed * g * jnp.sin(angle)
+
+    return {"rhs": rhs, "coordinates": ("angle", "rate"), "angles": ("angle",), "period": 1.0}
+
+
+def test_the_separatrix_of_a_pendulum_on_its_circle():
+    """From the saddle at π around the circle to itself both kinds are rate² = 4g cos²(angle/2); multipliers e^(±√g)."""
+    options = jaxnh.Manifolds(
+        box={"angle": (np.pi - 0.5, np.pi + 0.5), "rate": (-0.5, 0.5)},
+        length=12.0,
+        spacing=0.2,
+        crossings=0,
+        n_starts=4,
+    )
+    g = np.array([1.0, 1.5])
+    data = jaxnh.Session(pendulum, start={"angle": 0.1, "rate": 0.0}, target=1e-9).run(options, g=g)
+    assert data["saddles"].to_numpy().tolist() == [1, 1]
+    for k, lane in enumerate(g):
+        here = data.isel(g=k, saddle=0)
+        angle, rate = (here[name].to_numpy() for name in ("angle_points", "rate_points"))
+        known = np.isfinite(angle)
+        assert (
+            np.abs(rate**2 - 4 * lane * np.cos(angle / 2) ** 2)[known].max() < 1e-7
+        )  # the target, over some ten periods
+        middle = np.abs(np.sin(angle / 2)) < 0.5
+        for kind, sign in (("unstable", 1.0), ("stable", -1.0)):
+            of_kind = jaxnh.labels(here["branch_kind"]).to_numpy() == kind
+            np.testing.assert_allclose(np.abs(here["multiplier"])[of_kind], np.exp(sign * np.sqrt(lane)), rtol=1e-8)
+            signs = [np.sign(row[seen].mean()) for row, seen in zip(rate[of_kind], middle[of_kind], strict=True)]
+            assert sorted(signs) == [-1.0, 1.0]
+
+
 def series(a, b, kind, order=60):
     """Fixed point, multiplier and coefficients (order, 2) of K with P(K(s)) = K(μ s), by powers of s."""
     x = (b - 1.0 + np.sqrt((1.0 - b) ** 2 + 4.0 * a)) / (2.0 * a)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.analyses.transients.crisis_scaling import fit_crisis
 from jaxnh.analyses.transients.lifetimes import escape_rate
 from jaxnh.exceptions import InputError
 
@@ -96,6 +97,100 @@ def test_rates_of_lifetimes_that_are_censored():
     assert nothing.escapes[0] == 0
 
 
+def open_henon(a=2.0, b=0.3):
+    return {"map": lambda s: (1.0 - a * s[0] ** 2 + s[1], b * s[0]), "coordinates": ("x", "y")}
+
+
+def stays_of_henon(points, most):
+    """Iterates that points stay within 3 of the origin, followed for so many at most."""
+    life, inside = np.zeros(len(points), int), np.ones(len(points), bool)
+    for _ in range(most):
+        x, y = np.where(inside[:, None], points, 0.0).T
+        points = np.stack([1.0 - 2.0 * x**2 + y, 0.3 * x], axis=1)
+        inside &= np.abs(points).max(axis=1) < 3.0
+        life += inside
+    return life
+
+
+def stagger_and_step(count, least=30, further=12):
+    """Points of a pseudotrajectory on the saddle, and the mean growth of a tangent along it.
+
+    A step is an iterate while the point stays for `least` iterates; else it is moved by distances that are even in
+    their logarithms until it stays longer (Sweet, Nusse and Yorke, Phys. Rev. Lett. 86 (2001) 2261).
+    """
+    draws = np.random.default_rng(0)
+    z = draws.uniform(-1.0, 1.0, (20000, 2)) * [1.5, 0.4]
+    life = stays_of_henon(z, least + further)
+    z, left = z[np.argmax(life)], int(life.max())
+    points, tangent, logs = np.empty((count, 2)), np.array([1.0, 0.0]), np.empty(count)
+    for k in range(count):
+        while left < least:
+            way = draws.normal(size=(256, 2))
+            near = z + way / np.linalg.norm(way, axis=1)[:, None] * 10.0 ** -draws.uniform(1.0, 15.0, (256, 1))
+            life = stays_of_henon(near, least + further)
+            if (life > left).any():
+                first = np.argmax(life > left)
+                z, left = near[first], int(life[first])
+        points[k] = z
+        tangent = np.array([-4.0 * z[0] * tangent[0] + tangent[1], 0.3 * tangent[0]])
+        logs[k] = np.log(np.linalg.norm(tangent))
+        tangent /= np.linalg.norm(tangent)
+        z, left = np.array([1.0 - 2.0 * z[0] ** 2 + z[1], 0.3 * z[0]]), left - 1
+    return points, logs
+
+
+@pytest.mark.slow
+def test_the_saddle_beside_stagger_and_step():
+    """Of Henon's map at a = 2 both have the same points and the same exponent, within the bars of both."""
+    options = jaxnh.Transients(box={"x": (-1.5, 1.5), "y": (-0.4, 0.4)}, region={"x": (-3.0, 3.0), "y": (-3.0, 3.0)})
+    data = jaxnh.Session(open_henon, start={"x": 0.1, "y": 0.1}).run(options, a=2.0 + 1e-9 * np.arange(4))
+    points, logs = stagger_and_step(12000)
+    blocks = logs.reshape(24, -1).mean(axis=1)
+    exponent, bar = blocks.mean(), 2.07 * blocks.std(ddof=1) / np.sqrt(24)
+    assert np.all(np.abs(data["saddle_exponent"] - exponent) <= data["saddle_exponent_error"] + bar)
+    ours = np.stack([data["x_points"].to_numpy().ravel(), data["y_points"].to_numpy().ravel()], axis=1)
+    ours = ours[np.isfinite(ours).all(axis=1)]
+    for one, other in ((ours, points), (points, ours)):  # a third of 16 periods before they leave: e^(−5 λ) off
+        nearest = [np.linalg.norm(other - point, axis=1).min() for point in one[:500]]
+        assert np.quantile(nearest, 0.9) < np.exp(-5 * exponent)
+
+
+def open_power(a=1.01, order=2):
+    """a (1 − |2x − 1|^order): its maximum is 1 at a = 1, and leaves (0, 1) over a width of (a − 1)^(1/order)."""
+    return {"map": lambda y: a * (1.0 - jnp.abs(2.0 * y[0] - 1.0) ** order), "coordinates": "x"}
+
+
+def test_the_crisis_of_maps_of_one_maximum():
+    """The rate begins as a power 1/order of a − 1: 1/2 of the logistic map, whose r is 4a; of the tent map it is ln a."""
+    session, order = jaxnh.Session(open_power, start={"x": 0.3}), np.array([2.0, 1.0])
+    options = jaxnh.Transients(n_starts=1024, box={"x": (0.0, 1.0)}, crisis=True)
+    data = session.run(options, a=1.0 + np.geomspace(0.002, 0.1, 16), order=order)
+    for name, exact, least in (("crisis", 1.0, 0.01), ("crisis_exponent", 1.0 / order, 0.5)):
+        assert data[name].dims == ("order",)
+        assert np.all(np.abs(data[name] - exact) <= data[f"{name}_error"])
+        assert np.all(data[f"{name}_error"] < least)
+
+
+@pytest.mark.parametrize(("exponent", "curvature"), [(0.5, 0.0), (1.0, 1.0), (1.5, -1.0)])
+def test_intervals_of_power_laws(exponent, curvature):
+    """Escapes that are drawn from κ = x^γ exp(−c x^γ), falling towards the crisis from above or from below."""
+    draws, x = np.random.default_rng(6), np.linspace(0.02, 0.3, 20)
+    rate = np.minimum(x**exponent * np.exp(-curvature * x**exponent), 1.0)
+    covered = []
+    for side in (1.0, -1.0) * 50:
+        escapes = draws.poisson(1000 * np.ones_like(x))
+        fitted = fit_crisis(2.0 + side * x, rate * escapes / 1000, escapes)
+        errors = abs(fitted.value - 2.0), abs(fitted.exponent - exponent)
+        covered.append([errors[0] <= fitted.value_error, errors[1] <= fitted.exponent_error])
+    assert np.all(np.mean(covered, axis=0) >= LEAST)
+
+
+def test_power_laws_of_too_few_values():
+    """Values with fewer than sixteen escapes do not count."""
+    escapes = np.where(np.arange(12) < 5, 3, 1000)
+    assert np.isnan(fit_crisis(np.linspace(1.0, 2.0, 12), np.linspace(0.1, 0.2, 12), escapes)).all()
+
+
 def test_options_that_do_not_go_together():
     with pytest.raises(InputError, match="must be less than max_periods"):
         jaxnh.Transients(box={"x": (0.0, 1.0)}, max_periods=16, transient=16)
@@ -104,3 +199,5 @@ def test_options_that_do_not_go_together():
         session.run(jaxnh.Transients(box={"x": (0.0, 1.0)}, region={"y": (0.0, 1.0)}))
     with pytest.raises(InputError, match="needs a box to draw its starts from"):
         session.run(jaxnh.Transients())
+    with pytest.raises(InputError, match="a power law is fitted to 8 values of the first axis or more"):
+        session.run(jaxnh.Transients(box={"x": (0.0, 1.0)}, crisis=True), left=[3.0, 3.1])

@@ -40,6 +40,13 @@ accuracy: {solver: blanes_moan6, steps: 40}
 analyses:
   doubling: {levels: 1}
 """
+MANIFOLDS = """\
+system: {constraint: constant_speed}
+sweep: {b: {values: [5.2, 5.3]}}
+accuracy: {solver: blanes_moan6, steps: 40}
+analyses:
+  manifolds: {box: {x1: [-1.0, 1.0], y1: [-1.0, 1.0]}, n_starts: 8, length: 4.0, kind: unstable}
+"""
 # Every call is written; at the end of one of them, some numbers of which are given, the process does this to itself.
 HEAD = """
 import os, time
@@ -78,6 +85,7 @@ def calls_of(batch, *arguments):
         pytest.param(CARRIED, None, signal.SIGTERM, 3, id="carried, SIGTERM"),
         pytest.param(CARRIED, None, signal.SIGINT, 1, id="carried, SIGINT"),
         pytest.param(DOUBLING, None, signal.SIGTERM, 4, id="doubling"),
+        pytest.param(MANIFOLDS, None, signal.SIGKILL, 6, id="manifolds, killed"),
         pytest.param(CONFIG, 32, signal.SIGKILL, 2, id="a batch of small tiles, killed"),
     ],
 )

@@ -21,6 +21,11 @@ _OF_TIME = {
     "diffusion",
     "drift",
     "energy_lost",
+    "cycle_escape_rate",
+    "cycle_exponent",
+    "cycle_return_time",
+    "motion_exponent",
+    "motion_return_time",
     "eigenvalues",
     "saddle_quantity",
 }

@@ -240,7 +240,7 @@ def distance_from(branch: ManifoldBranch, points: Float[np.ndarray, "points d"],
     """Return the largest distance, in sizes, of points from the curve of a branch near its points beside them.
 
     What lies along the curve is no distance: where a point is on it depends on m and δ. The curve between points is a
-    parabola in x.
+    parabola in x; points that lie along it further off than its neighbours are compared with all straight pieces.
     """
     x, u = branch.x[1:], branch.points[1:]
     if len(x) < 3:
@@ -252,5 +252,15 @@ def distance_from(branch: ManifoldBranch, points: Float[np.ndarray, "points d"],
     gap = wrap(points[1:-1] - u[1:-1]) / size
     with np.errstate(invalid="ignore", divide="ignore"):
         shift = np.sum(gap * slope, axis=1) / np.sum(slope * slope, axis=1)
-        across = gap - shift[:, None] * slope - shift[:, None] ** 2 * bend
-    return float(np.nanmax(np.linalg.norm(across, axis=1), initial=0.0))
+        across = np.linalg.norm(gap - shift[:, None] * slope - shift[:, None] ** 2 * bend, axis=1)
+    far = ~((left[:, 0] <= shift) & (shift <= right[:, 0])) & np.isfinite(points[1:-1]).all(axis=1)
+    across[far] = [_distance_from_pieces(u, point, size, wrap) for point in points[1:-1][far]]
+    return float(np.nanmax(across, initial=0.0))
+
+
+def _distance_from_pieces(u: Float[np.ndarray, "points d"], point: np.ndarray, size: np.ndarray, wrap: Wrap) -> float:
+    """Return the distance of a point from the nearest straight piece between neighbours, in sizes."""
+    pieces, away = wrap(np.diff(u, axis=0)) / size, wrap(point - u[:-1]) / size
+    squares = np.maximum(np.sum(pieces * pieces, axis=1), np.finfo(float).tiny)  # neighbours may be equal
+    share = np.clip(np.sum(away * pieces, axis=1) / squares, 0.0, 1.0)
+    return float(np.min(np.linalg.norm(away - share[:, None] * pieces, axis=1)))

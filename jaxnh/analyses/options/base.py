@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from jaxnh.exceptions import InputError
@@ -15,6 +15,15 @@ BLOCKS = 16
 
 Side = Annotated[tuple[float, float], Field(strict=False)]
 """The lowest and the highest value of a coordinate."""
+
+
+def _none_for_no(asked: bool | None) -> bool | None:
+    """Return None for no, as where nothing is said: what decides no number is in no hash."""
+    return asked or None
+
+
+Extra = Annotated[bool | None, AfterValidator(_none_for_no)]
+"""Whether numbers are given beside those that there are always."""
 
 
 class Block(BaseModel):

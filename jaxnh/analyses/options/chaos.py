@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import BLOCKS, Options, Side, check_sides, rule
+from jaxnh.analyses.options.base import BLOCKS, Extra, Options, Side, check_sides, rule
 
 
 class LyapunovOptions(Options):
@@ -108,6 +108,9 @@ class TransientsOptions(Options):
     max_periods: int = Field(default=1024, ge=16, description="Periods after which a motion is followed no longer")
     transient: int = Field(default=8, ge=0, description="Periods before escapes are counted for the rate")
     seed: int = Field(default=0, ge=0, description="Seed of the random start states")
+    crisis: Extra = Field(
+        default=None, description="Whether to fit the power law of the lifetime at a crisis along the first axis"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> TransientsOptions:

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import Options, Side, check_random_starts, check_sides, rule
+from jaxnh.analyses.options.base import Extra, Options, Side, check_random_starts, check_sides, rule
 
 
 class SensitivityOptions(Options):
     """Options of analyses whose numbers have derivatives in the parameters of the flow."""
 
-    sensitivities: bool | None = Field(
+    sensitivities: Extra = Field(
         default=None, description="Whether to give the derivatives of its numbers in every parameter of the flow too"
     )
-
-    @field_validator("sensitivities")
-    @classmethod
-    def _leave_out(cls, asked: bool | None) -> bool | None:
-        """Return None for no, as where nothing is said: what decides no number is in no hash."""
-        return asked or None
 
 
 class PeriodOptions(SensitivityOptions):
@@ -194,6 +188,10 @@ class OrbitsOptions(Options):
         default=None,
         ge=256,
         description="Points of a motion, by which orbits are told to lie in its attractor; by default not asked",
+    )
+    averages: Extra = Field(
+        default=None,
+        description="Whether to give exponent and escape rate by cycle expansion, with attractor beside time averages",
     )
 
     @model_validator(mode="after")

@@ -15,9 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, flag, number_variable, variable
-from jaxnh.analyses.batch import LaneRunner
 from jaxnh.analyses.orbits.tables import LaneOrbits, gather, rows_of
-from jaxnh.analyses.section_points import points_after
 
 PLACES = ("unknown", "inside", "outside", "undecided")
 """Meanings of the flags 0 to 3 of `place`."""
@@ -38,25 +36,19 @@ class Places(NamedTuple):
     Attributes:
         distance: largest of the distances of the points of an orbit to the motion, in sizes of the motion, (cycles,).
         place: number in `PLACES`, (cycles,).
+        near: whether it is as near to the motion as all of the motion's points are to the next one, (cycles,).
     """
 
     distance: Float[np.ndarray, " cycles"]
     place: Int[np.ndarray, " cycles"]
+    near: Bool[np.ndarray, " cycles"]
 
 
-def places_of_orbits(
-    part: LaneOrbits, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], count: int
-) -> dict[int, Places]:
-    """Return where the orbits of a batch are, by number of returns.
-
-    Args:
-        u: points of the motions that have settled.
-        count: points of each motion.
-    """
+def places_of_orbits(part: LaneOrbits, motion: Float[np.ndarray, "lanes points d"]) -> dict[int, Places]:
+    """Return where the orbits of a batch are, by number of returns, beside motions that have settled."""
     from scipy.spatial import KDTree  # here, as it takes a tenth of a second to import
 
     batch = part.batch
-    motion = points_after(batch, lanes, u, 0, count)
     angles = np.array(batch.chart.angles)
     trees: dict[int, KDTree] = {}
     typical, largest = (np.full(batch.count, np.nan) for _ in range(2))
@@ -78,7 +70,8 @@ def places_of_orbits(
             distance <= np.maximum(typical[lane], _CLOSE),
             distance > np.maximum(_FAR * largest[lane], _CLOSE),
         ]
-        places[n] = Places(distance, np.select(conditions, [0, 1, 2], 3))
+        near = distance <= np.maximum(largest[lane], _CLOSE)
+        places[n] = Places(distance, np.select(conditions, [0, 1, 2], 3), near)
     return places
 
 

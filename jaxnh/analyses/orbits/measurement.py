@@ -62,7 +62,7 @@ def measure(
     for strobe, orbits in zip(strobes, (coarse, fine), strict=True):
         points = np.where(orbits.converged[:, None, None], orbits.points, np.nan)
         values.append(multipliers(orbits.blocks))
-        times.append(_times(batch, lanes, strobe, points, lane))
+        times.append(return_times(batch, lanes, strobe, points, lane))
     residual = np.where(fine.converged, fine.residual / unit.max(axis=1), np.nan)
     signs = np.where(np.random.default_rng(0).random(points.shape) < 0.5, -1.0, 1.0)
     moved = points + _PROBE * signs * unit[:, None]
@@ -96,10 +96,10 @@ def _stability(
     return np.select(conditions, [-1, 3, 0, 2], 1).astype(np.int8)
 
 
-def _times(
+def return_times(
     batch: LaneBatch, lanes: LaneRunner, strobe: Maps, points: Float[np.ndarray, "cycles n d"], lane: np.ndarray
 ) -> Float[np.ndarray, " cycles"]:
-    """Return the periods of orbits: on a section the sum of the times of return."""
+    """Return the time that n returns from successive points take, by default of a period each, of orbits or motions."""
     count, n, d = points.shape
     if batch.flow is batch.system:
         return np.full(count, n * float(batch.flow.period))

@@ -3,7 +3,7 @@
 Lanes settle by themselves; then orbits are sought in all of them together (`search`), so that each is tried with those
 of its neighbours, and measured (`measurement`). How often orbits were met says how many are missing (`missing`), and
 their numbers say how they grow (`entropy`). Where it is asked for, orbits are told to lie in the attractor or not
-(`carriers`).
+(`carriers`), and give averages over it (`averages`).
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, SweepLanes, SweepReduction, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import OrbitsOptions
+from jaxnh.analyses.orbits.averages import cycle_variables, motion_variables
 from jaxnh.analyses.orbits.carriers import carrier_variables, place_variables, places_of_orbits
 from jaxnh.analyses.orbits.measurement import measure
 from jaxnh.analyses.orbits.search import WINDOWS, search, search_neighbours
@@ -73,12 +74,26 @@ def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
                 if len(cycles.lane)
             }
         parts.append(LaneOrbits(numbers, batch, known, measured))
-    orbits = orbits_group(options, lanes, parts, len(u))
+    return _groups(options, lanes, parts, u)
+
+
+def _groups(
+    options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[LaneOrbits], u: Float[np.ndarray, "lanes d"]
+) -> dict[str, xr.Dataset]:
+    """Return the groups of orbits that are measured, and what is asked for of attractors and averages."""
+    count, motions, places = len(u), [], [None] * len(parts)
+    orbits, counts = orbits_group(options, lanes, parts, count), counts_group(options.max_period, parts, count)
     if options.attractor is not None:
-        with lanes.stage("orbits: distances from attractors", float(len(u) * options.attractor)):
-            places = [places_of_orbits(part, lanes, u[part.numbers], options.attractor) for part in parts]
-        orbits = orbits.assign(place_variables(parts, places, len(u)) | carrier_variables(parts, places, len(u)))
-    return {"orbits": orbits, "orbit_counts": counts_group(options.max_period, parts, len(u))}
+        with lanes.stage("orbits: distances from attractors", float(count * options.attractor)):
+            motions = [points_after(part.batch, lanes, u[part.numbers], 0, options.attractor) for part in parts]
+            places = [places_of_orbits(part, motion) for part, motion in zip(parts, motions, strict=True)]
+        orbits = orbits.assign(place_variables(parts, places, count) | carrier_variables(parts, places, count))
+    if options.averages:
+        counts = counts.assign(cycle_variables(parts, places, counts))
+        if motions:
+            with lanes.stage("orbits: averages in time", 0):
+                counts = counts.assign(motion_variables(parts, motions, lanes, count))
+    return {"orbits": orbits, "orbit_counts": counts}
 
 
 def _neighbours(

@@ -22,10 +22,14 @@ from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.maps.section import outputs, plot_plane
 from jaxnh.systems.flow import NOT_FINITE, status
 
+AVERAGES = "cycle_escape_rate", "cycle_exponent", "cycle_return_time", "motion_exponent", "motion_return_time"
+"""Names of averages: three by cycle expansion, and two in time."""
+
 OWN_NAMES = (
     "orbit", "n", "multiplier", "part", "iterate", "period", "time", "time_error", "multipliers", "multipliers_error",
     "index", "stability", "met", "residual", "number", "missing", "missing_low", "missing_high", "entropy",
     "entropy_error", "rounds", "distance", "place", "least_period", "least_unstable", "carrier", "status",
+    *(f"{name}{ending}" for name in AVERAGES for ending in ("", "_error")),
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
@@ -203,8 +207,14 @@ def counts_table(data: xr.Dataset) -> Table:
     for k, n in enumerate(data["n"].to_numpy().tolist()):
         ends = f"{low[:, k].min():.3g} to {high[:, k].max():.3g}"
         rows.append((str(n), range_in_words(number[:, k]), range_in_words(missing[:, k]), ends))
-    entropy = data["entropy"].to_numpy().ravel()
-    caption = ""
-    if entropy.size == 1 and np.isfinite(entropy[0]):
-        caption = f"topological entropy {entropy[0]:.6g} ± {float(data['entropy_error'].max()):.1g} per return"
-    return Table("Periodic orbits", ("returns", "orbits", "missing", "95 %"), tuple(rows), caption or None)
+    captions = [
+        f"{words} {data[name].item():.6g} ± {data[f'{name}_error'].item():.1g}{unit}"
+        for name, words, unit in (
+            ("entropy", "topological entropy", " per return"),
+            ("cycle_escape_rate", "by cycle expansion escape rate", ""),
+            ("cycle_exponent", "by cycle expansion exponent", ""),
+            ("motion_exponent", "in time exponent", ""),
+        )
+        if name in data and data[name].size == 1 and np.isfinite(data[name])
+    ]
+    return Table("Periodic orbits", ("returns", "orbits", "missing", "95 %"), tuple(rows), "; ".join(captions) or None)

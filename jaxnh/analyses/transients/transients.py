@@ -14,6 +14,7 @@ from jaxnh.analyses.options.chaos import TransientsOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.random_starts import check_box, random_start_batch
 from jaxnh.analyses.trajectories.states import section_attrs
+from jaxnh.analyses.transients.crisis_scaling import FEWEST_VALUES, fit_crisis
 from jaxnh.analyses.transients.lifetimes import EscapeRate, escape_rate, lifetimes, region_of
 from jaxnh.analyses.transients.saddle import MOTIONS, POINTS, Saddle, find_saddle
 from jaxnh.maps.iterate import derivatives
@@ -42,6 +43,14 @@ def check(options: TransientsOptions, setting: Setting) -> None:
         if name not in setting.flow.coordinates:
             known = ", ".join(setting.flow.coordinates)
             raise OptionError(f"there is no coordinate {name}; known are {known}", f"region.{name}")
+    if options.crisis and len(np.unique(setting.axes[0].values)) < FEWEST_VALUES:
+        message = f"a power law is fitted to {FEWEST_VALUES} values of the first axis or more: sweep over so many"
+        raise OptionError(message, "crisis")
+
+
+def independent(options: TransientsOptions) -> bool:
+    """Return whether lanes are independent: a power law is one of all values along the first axis."""
+    return not options.crisis
 
 
 def run(options: TransientsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -74,6 +83,7 @@ def run(options: TransientsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.D
         },
         **_of_lanes(rate, saddle, unit),
         **_of_saddle(batch, saddle),
+        **(_of_crisis(batch, rate) if options.crisis else {}),
         "status": as_variable(LANE, status(np.zeros(batch.count, int))),
     }
     return xr.Dataset(variables, attrs=section_attrs(batch))
@@ -128,6 +138,19 @@ def _of_saddle(batch: LaneBatch, saddle: Saddle) -> dict[str, Entry]:
     }
 
 
+def _of_crisis(batch: LaneBatch, rate: EscapeRate) -> dict[str, Entry]:
+    axis = batch.first_axis
+    fitted = fit_crisis(axis.values, rate.rate[0], rate.escapes)
+    words = f"{axis.long_name} at the crisis, where the escape rate comes to zero"
+    exponent = "exponent of the escape rate over the distance from the crisis"
+    return {
+        "crisis": variable((), fitted.value, words, axis.units),
+        "crisis_error": variable((), fitted.value_error, f"error of the {words}, at 95 %", axis.units),
+        "crisis_exponent": variable((), fitted.exponent, exponent),
+        "crisis_exponent_error": variable((), fitted.exponent_error, f"error of the {exponent}, at 95 %"),
+    }
+
+
 def starts(options: TransientsOptions) -> Starts | None:
     """Return the function that draws the random starts."""
 
@@ -140,9 +163,9 @@ def starts(options: TransientsOptions) -> Starts | None:
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
     """Return the range over lanes of the escape rate, of the mean lifetime, and of the saddle's numbers."""
-    names = "escape_rate", "mean_lifetime", "saddle_exponent", "saddle_dimension"
+    names = "escape_rate", "mean_lifetime", "saddle_exponent", "saddle_dimension", "crisis", "crisis_exponent"
     rows = []
-    for name in names:
+    for name in (name for name in names if name in data):
         values = data[name].to_numpy().ravel()
         finite = values[np.isfinite(values)]
         said = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size > 1 else "".join(f"{v:.6g}" for v in finite)
@@ -163,6 +186,7 @@ ANALYSIS = Analysis(
     TransientsOptions,
     periods,
     run,
+    independent=independent,
     numbers=numbers,
     starts=starts,
     check=check,
