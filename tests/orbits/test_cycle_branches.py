@@ -10,10 +10,11 @@ from scipy.integrate import solve_ivp
 
 from jaxnh.exceptions import InputError
 from jaxnh.orbits.collocation.bifurcations import bifurcations, doubled_cycle
+from jaxnh.orbits.collocation.cycle_equations import point_at, reversed_way
 from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.cycles import hold_parameters as hold
 from jaxnh.orbits.collocation.equations import BoundarySolution
-from jaxnh.orbits.collocation.following import follow_cycles, point_at, reversed_way
+from jaxnh.orbits.collocation.following import follow_cycles
 from jaxnh.orbits.collocation.homoclinic import homoclinic_orbit, saddle_at
 from jaxnh.orbits.collocation.newton import correct
 from jaxnh.orbits.collocation.paths import path_through
@@ -110,7 +111,7 @@ def test_doublings_of_roessler():
     problem, branch = roessler_branch()
     lift, ends = np.zeros(3), (2.3, 4.0)
     for n in (1, 2):
-        located, lost = bifurcations(problem, branch, lift, ends)
+        located, lost = bifurcations(problem, branch, lift)
         assert lost == 0
         assert [point.kind for point in located] == [DOUBLING]
         point = located[0]

@@ -16,25 +16,23 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.cycle_paths import first_guesses
+from jaxnh.analyses.continuation.families import flow_problem
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.orbits.collocation.bifurcations import CycleBifurcation, bifurcations, doubled_cycle
-from jaxnh.orbits.collocation.cycles import closure, hold_parameters, solve_cycles
-from jaxnh.orbits.collocation.equations import BoundarySolution, FieldValues, Problem, combination, moved
-from jaxnh.orbits.collocation.fields import point_rates
-from jaxnh.orbits.collocation.following import (
-    CycleBranch,
+from jaxnh.orbits.collocation.cycle_equations import (
     CyclePoint,
-    follow_cycles,
     invariants,
     point_at,
     remeshed_point,
     reversed_way,
 )
+from jaxnh.orbits.collocation.cycles import closure, hold_parameters, solve_cycles
+from jaxnh.orbits.collocation.equations import BoundarySolution, Problem, combination, moved
+from jaxnh.orbits.collocation.following import CycleBranch, follow_cycles
 from jaxnh.orbits.collocation.newton import correct
 from jaxnh.orbits.continuation.kinds import DOUBLING
 from jaxnh.orbits.continuation.paths import START, StepControl
 
-_TILE = 1024  # points
 _TARGET = 1e-7  # error of the first cycle of a branch, that its mesh is chosen by
 _SAME = 1e-4  # of invariants, in sizes and widths: the cycle is on the branch
 _NEAR = 0.1  # likewise: it may be
@@ -55,22 +53,6 @@ class FollowedCycles(NamedTuple):
     lift: Float[np.ndarray, " d"]
     branch: CycleBranch
     bifurcations: list[CycleBifurcation]
-
-
-def flow_problem(
-    batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]
-) -> Problem:
-    """The flow of a batch over its first axis."""
-    name = batch.first_axis.name
-
-    def field(
-        y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points 1"]
-    ) -> FieldValues:
-        p = dict(batch.at_values(values[:, 0]).p)
-        rates = lanes(point_rates, (batch.flow,), (y, t, p), tile=_TILE, static=((name,),))
-        return FieldValues(*map(np.asarray, rates))
-
-    return Problem(field, size, np.array([ends[1] - ends[0]]), not batch.flow.autonomous)
 
 
 def grow_cycles(
@@ -98,7 +80,9 @@ def grow_cycles(
         with stage(f"paths of {len(wave)} orbits"):
             guesses = first_guesses(batch, lanes, wave)
         for returns, guess in guesses:
-            problem = problem or flow_problem(batch, lanes, _size_of([path for _, path in guesses]), ends)
+            if problem is None:
+                size, widths = _size_of([path for _, path in guesses]), np.array([ends[1] - ends[0]])
+                problem = flow_problem(batch, lanes, size, (batch.first_axis.name,), widths)
             with stage(f"cycles of {returns} returns by collocation"):
                 lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch)
     return followed, lost
@@ -127,7 +111,7 @@ def _follow_on(
         sides = []
         for way in (point, reversed_way(point))[: 1 + both_ways]:
             branch = follow_cycles(problem, way, lift, ends, steps)
-            located, missed = bifurcations(problem, branch, lift, ends)
+            located, missed = bifurcations(problem, branch, lift)
             lost += missed
             sides.append((branch, located))
         new = _joined(n, lift, *sides)
@@ -153,7 +137,7 @@ def _first_point(problem: Problem, guess: BoundarySolution, lift: Float[np.ndarr
 
 def _is_known(problem: Problem, followed: Sequence[FollowedCycles], point: CyclePoint, returns: int) -> bool:
     """Return whether a cycle is on a branch that has been followed."""
-    wanted = invariants(problem, point.solution)
+    wanted = invariants(problem, point.solution)[0]
     for known in followed:
         if known.returns != returns:
             continue
@@ -163,14 +147,12 @@ def _is_known(problem: Problem, followed: Sequence[FollowedCycles], point: Cycle
             if not low <= point.value <= high or low == high:
                 continue
             share = (point.value - before.value) / (after.value - before.value)
-            ends = invariants(problem, before.solution), invariants(problem, after.solution)
+            ends = [invariants(problem, end.solution)[0] for end in (before, after)]
             if np.linalg.norm(ends[0] + share * (ends[1] - ends[0]) - wanted) > _NEAR:
                 continue
             nearest = before if share <= 0.5 else after
-            if (
-                np.linalg.norm(invariants(problem, _at_value(problem, nearest, point.value, known.lift)) - wanted)
-                < _SAME
-            ):
+            there = invariants(problem, _at_value(problem, nearest, point.value, known.lift))[0]
+            if np.linalg.norm(there - wanted) < _SAME:
                 return True
     return False
 
