@@ -33,6 +33,7 @@ _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
 _ON_CIRCLE = 1e-4  # of a modulus from one, where the product of two multipliers is one to rounding
 _REAL = 1e-6  # imaginary part of a multiplier, of its modulus
+_STILL = 1e-8  # rates of the parameter that the corrector's last step does not tell from zero
 _BESIDE = np.array([-2.0, -1.0, 1.0, 2.0]) / 64  # of a chord, places beside a branch point
 _BETWEEN = np.array([-1.0, 4.0, 4.0, -1.0]) / 6  # weights of the cubic through them in their middle
 
@@ -84,6 +85,8 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
     order, changed = kinds(family), list[tuple[int, int, int]]()
     for number, branch in enumerate(branches):
         changes = np.diff(np.signbit(branch.tests), axis=0) & np.isfinite(branch.tests[1:] + branch.tests[:-1])
+        turns = np.maximum(np.abs(branch.tests[1:, order.index(FOLD)]), np.abs(branch.tests[:-1, order.index(FOLD)]))
+        changes[:, order.index(FOLD)] &= turns > _STILL
         # Where both change, the branch turns because another one crosses it there: it is that one's pitchfork.
         changes[:, order.index(FOLD)] &= ~changes[:, order.index(BRANCH_POINT)]
         changes[0] &= branch.ends[0] != COLLAPSED  # there it is the doubling of another branch that shows
