@@ -20,7 +20,7 @@ FINE = 1e-9
 ROUGH = 1e-6
 """Step of Newton, in lengths, whose square is small enough: between the marked points of a branch."""
 
-_CERTAIN = 1e-9  # step that leaves derivatives which need no further iterate, where rounding is not asked for
+_CERTAIN = 1e-11  # step that leaves derivatives which need no further iterate, where rounding is not asked for
 _NEWTON_STEPS = 12
 _CONTRACTION = 0.5  # of successive steps; Newton that contracts less is on its way to another curve
 
