@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Complex, Float
-from scipy.linalg import lapack
+from scipy.linalg.lapack import dgeqrf, dorgqr  # pyright: ignore[reportAttributeAccessIssue]
 
 _TURNS = 4  # directions whose growth differs by more than 10³ a turn are then apart to rounding; others need not be
 _APART = 1e-12
@@ -86,9 +86,9 @@ def _last_turn_of_lane(blocks: Float[np.ndarray, "n d d"]) -> tuple[np.ndarray, 
     for _ in range(_TURNS):
         begun, product = basis, one
         for block in blocks:
-            factors, scales, *_ = lapack.dgeqrf(block @ basis)
+            factors, scales, *_ = dgeqrf(block @ basis)
             product = np.triu(factors) @ product
-            basis = lapack.dorgqr(factors, scales)[0]
+            basis = dorgqr(factors, scales)[0]
     return begun.T @ basis, product
 
 

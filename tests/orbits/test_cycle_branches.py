@@ -106,6 +106,24 @@ def roessler_branch():
     return problem, follow_cycles(problem, begun, np.zeros(3), (2.3, 4.0), StepControl(0.05, 300))
 
 
+def test_predictions_of_high_order_leave_two_evaluations_a_point():
+    """By orbits that are not shifted against each other: where they are, extrapolation enlarges the shifts."""
+    problem, branch = roessler_branch()
+    count = 0
+
+    def field(*at):
+        nonlocal count
+        count += 1
+        return problem.field(*at)
+
+    again = follow_cycles(
+        problem._replace(field=field), branch.points[0], np.zeros(3), (2.3, 4.0), StepControl(0.05, 300)
+    )
+    assert again.ends == branch.ends
+    # Two for Newton, one for the multipliers of each point; one more where steps begin, grow, or a mesh is adapted.
+    assert count <= 4 * len(again.points)
+
+
 def test_doublings_of_roessler():
     """Two doublings in turn, the second on the branch of doubled cycles, within their errors of heyoka's."""
     problem, branch = roessler_branch()

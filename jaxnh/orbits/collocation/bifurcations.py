@@ -151,7 +151,7 @@ def _locate(
     coarse, fine = (_Chord(CollocationEquations(problem, one, lift), now, after, test) for one in near)
     known = {0.0: test(now), 1.0: test(after)}
     try:
-        share = brentq(lambda s: known.get(s) or coarse.test(s), 0.0, 1.0, xtol=_ROOT)
+        share = float(brentq(lambda s: known.get(s) or coarse.test(s), 0.0, 1.0, xtol=_ROOT))  # pyright: ignore[reportArgumentType]
         root = root_scalar(fine.test, method="secant", x0=share, x1=share + _BESIDE, xtol=_ROOT, maxiter=_STEPS).root
         first, point = coarse.point(share), fine.point(root)
     except _NoPointError:
