@@ -60,8 +60,8 @@ def eliminate(here: Float[np.ndarray, "... n m m"], there: Float[np.ndarray, "..
 
 def solve(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> Float[np.ndarray, "... n m"]:
     """y of r."""
-    carried, known = _eliminated_sides(cycle, right)
-    return _substitute_back(cycle, np.linalg.solve(cycle.closed, carried[..., None])[..., 0], known)
+    carried, known = _eliminated_sides(cycle, right[..., None])
+    return _substitute_back(cycle, np.linalg.solve(cycle.closed, carried), known)[..., 0]
 
 
 class Solutions(NamedTuple):
@@ -87,13 +87,15 @@ def underdetermined(
     cycle: Cyclic, right: Float[np.ndarray, "... n m"], column: Float[np.ndarray, "... n m"]
 ) -> Solutions:
     """The solutions with one unknown more, which all equations know; `closed` itself may be singular, as at a fold."""
-    (last, known), (last_column, known_column) = _eliminated_sides(cycle, right), _eliminated_sides(cycle, column)
-    wide = np.concatenate([cycle.closed, last_column[..., None]], axis=-1)
-    least, null, other, square = underdetermined_square(wide, last)
+    (last, known), (last_column, known_column) = (_eliminated_sides(cycle, r[..., None]) for r in (right, column))
+    wide = np.concatenate([cycle.closed, last_column], axis=-1)
+    least, null, other, square = underdetermined_square(wide, last[..., 0])
 
     def whole(first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
-        x = first[..., -1:]
-        return _substitute_back(cycle, first[..., :-1], [k - x * kc for k, kc in zip(known, known_column, strict=True)])
+        first = first[..., None]
+        x = first[..., -1:, :]
+        known = [k - x * kc for k, kc in zip(known, known_column, strict=True)]
+        return _substitute_back(cycle, first[..., :-1, :], known)[..., 0]
 
     none = [np.zeros_like(k) for k in known]
     ways = (whole(null, none), null[..., -1]), (whole(other, none), other[..., -1])
@@ -123,27 +125,24 @@ def solutions(
     Returns:
         One of them, y and x, (..., n, m) and (..., k), the least in (y_0, x); and k directions to all others.
     """
-    k, (last, known) = columns.shape[-1], _eliminated_sides(cycle, right)
-    sides = [_eliminated_sides(cycle, columns[..., j]) for j in range(k)]
-    wide = np.concatenate([cycle.closed, np.stack([side for side, _ in sides], axis=-1)], axis=-1)
-    left, singular, rows = np.linalg.svd(wide, full_matrices=True)
-    least = np.swapaxes(left, -1, -2) @ last[..., None] / singular[..., None]
-    least = (np.swapaxes(rows[..., : -k or None, :], -1, -2) @ least)[..., 0]
-
-    def whole(first: np.ndarray, known: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        x, m = first[..., first.shape[-1] - k :], first.shape[-1] - k
-        for j, (_, column) in enumerate(sides):
-            known = [side - x[..., j : j + 1] * c for side, c in zip(known, column, strict=True)]
-        return _substitute_back(cycle, first[..., :m], known), x
-
-    none = [np.zeros_like(side) for side in known]
-    return whole(least, known), [whole(rows[..., -1 - j, :], none) for j in range(k)]
+    k, m = columns.shape[-1], right.shape[-1]
+    last, known = _eliminated_sides(cycle, np.concatenate([right[..., None], columns], axis=-1))
+    left, singular, rows = np.linalg.svd(np.concatenate([cycle.closed, last[..., 1:]], axis=-1), full_matrices=True)
+    least = np.swapaxes(left, -1, -2) @ last[..., :1] / singular[..., None]
+    least = np.swapaxes(rows[..., : -k or None, :], -1, -2) @ least
+    first = np.concatenate([least, *(rows[..., -1 - j, :, None] for j in range(k))], axis=-1)
+    x = first[..., m:, :]
+    sides = [-known_one[..., 1:] @ x for known_one in known]
+    for side, known_one in zip(sides, known, strict=True):
+        side[..., 0] += known_one[..., 0]
+    y = _substitute_back(cycle, first[..., :m, :], sides)
+    return (y[..., 0], x[..., 0]), [(y[..., 1 + j], x[..., 1 + j]) for j in range(k)]
 
 
 def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:
     """y of r = 0, of length one at the first point, where there is one; elsewhere that of the nearest `closed`."""
-    first = np.linalg.svd(cycle.closed)[2][..., -1, :]
-    return _substitute_back(cycle, first, [np.zeros(1)] * len(cycle.rounds))
+    first = np.linalg.svd(cycle.closed)[2][..., -1, :, None]
+    return _substitute_back(cycle, first, [np.zeros(1)] * len(cycle.rounds))[..., 0]
 
 
 def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
@@ -171,26 +170,26 @@ def _pairs(each: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return each[: len(each) // 2 * 2 : 2], each[1::2]
 
 
-def _eliminated_sides(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return the right-hand sides of the equation left for y_0 and of those of the points eliminated."""
-    m, known = right.shape[-1], []
-    carried = _points_first(right, -2)
+def _eliminated_sides(cycle: Cyclic, right: Float[np.ndarray, "... n m c"]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return c right-hand sides of the equation left for y_0, and of those of the points that were eliminated."""
+    m, known = right.shape[-2], []
+    carried = _points_first(right, -3)
     for turns, _, _ in cycle.rounds:
-        both = np.concatenate(_pairs(carried), axis=-1)
-        both = (np.swapaxes(turns, -1, -2) @ both[..., None])[..., 0]
-        known.append(both[..., :m])
-        carried = np.concatenate([both[..., m:], carried[2 * len(turns) :]])
+        both = np.swapaxes(turns, -1, -2) @ np.concatenate(_pairs(carried), axis=-2)
+        known.append(both[..., :m, :])
+        carried = np.concatenate([both[..., m:, :], carried[2 * len(turns) :]])
     return carried[0], known
 
 
-def _substitute_back(cycle: Cyclic, first: np.ndarray, known: list[np.ndarray]) -> np.ndarray:
+def _substitute_back(
+    cycle: Cyclic, first: Float[np.ndarray, "... m c"], known: list[np.ndarray]
+) -> Float[np.ndarray, "... n m c"]:
     """All y, from y_0 and from what stands on the right of the points' equations after their elimination."""
     y = np.ascontiguousarray(first)[None]
     for (_, upper, rows), right in zip(cycle.rounds[::-1], known[::-1], strict=True):
         half = len(rows)
-        neighbours = np.concatenate([y[:half], np.roll(y, -1, axis=0)[:half]], axis=-1)
-        missing = right[..., None] - rows @ neighbours[..., None]
+        neighbours = np.concatenate([y[:half], np.roll(y, -1, axis=0)[:half]], axis=-2)
         whole = np.empty((len(y) + half, *y.shape[1:]))
-        whole[::2], whole[1::2] = y, np.linalg.solve(upper, missing)[..., 0]
+        whole[::2], whole[1::2] = y, np.linalg.solve(upper, right - rows @ neighbours)
         y = whole
-    return np.ascontiguousarray(np.moveaxis(y, 0, -2))
+    return np.ascontiguousarray(np.moveaxis(y, 0, -3))

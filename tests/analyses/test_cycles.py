@@ -9,7 +9,7 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.continuation import branches
-from jaxnh.analyses.continuation.family_tree import Tree
+from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.continuation.arclength import PathVector
 from jaxnh.orbits.continuation.branches import Branch
@@ -135,6 +135,19 @@ def test_collocation_where_shooting_loses_a_branch(tmp_path, lost):
         tree = tree_of(tmp_path, ROESSLER, "{x: 1.0, v: 0.0, z: 0.0}", sweep, options, section)
     assert tree["branches"].attrs["method"] == ("collocation" if lost else "shooting")
     assert sorted(tree["branches"]["c"].values[0][[0, -1]]) == [2.6, 2.7]
+
+
+@pytest.mark.parametrize(("steps", "long"), [(100, False), (10000, True)])
+def test_returns_of_many_steps_are_left_to_collocation(steps, long):
+    """By `auto`, where the derivatives of a return cost more than an evaluation on a mesh; a clock has no such returns."""
+    seeds = [[SeedOrbit(np.zeros((2, 2)), 0.0)]]
+    cycle = first_order(lambda: {"rhs": lambda y, t: (y[1], -y[0]), "coordinates": ("x", "v")}, {})
+    driven = first_order(lambda: {"rhs": lambda y, t: (y[1], -y[0]), "coordinates": ("x", "v"), "period": 1.0}, {})
+    for flow, expected in ((cycle, long), (driven, False)):
+        batch = mock.Mock(flow=flow, steps=steps)
+        with mock.patch.object(branches, "duration_of", return_value=2.0 * flow.period):
+            assert branches._has_long_returns(batch, mock.Mock(), seeds) == expected
+    assert not branches._has_long_returns(mock.Mock(flow=cycle, steps=steps), mock.Mock(), [[]])
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,11 @@ from scipy.integrate import solve_ivp
 
 from jaxnh.exceptions import InputError
 from jaxnh.orbits.collocation.bifurcations import bifurcations, doubled_cycle
+from jaxnh.orbits.collocation.cycle_equations import point_at, reversed_way
 from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.cycles import hold_parameters as hold
 from jaxnh.orbits.collocation.equations import BoundarySolution
-from jaxnh.orbits.collocation.following import follow_cycles, point_at, reversed_way
+from jaxnh.orbits.collocation.following import follow_cycles
 from jaxnh.orbits.collocation.homoclinic import homoclinic_orbit, saddle_at
 from jaxnh.orbits.collocation.newton import correct
 from jaxnh.orbits.collocation.paths import path_through
@@ -105,12 +106,30 @@ def roessler_branch():
     return problem, follow_cycles(problem, begun, np.zeros(3), (2.3, 4.0), StepControl(0.05, 300))
 
 
+def test_predictions_of_high_order_leave_two_evaluations_a_point():
+    """By orbits that are not shifted against each other: where they are, extrapolation enlarges the shifts."""
+    problem, branch = roessler_branch()
+    count = 0
+
+    def field(*at):
+        nonlocal count
+        count += 1
+        return problem.field(*at)
+
+    again = follow_cycles(
+        problem._replace(field=field), branch.points[0], np.zeros(3), (2.3, 4.0), StepControl(0.05, 300)
+    )
+    assert again.ends == branch.ends
+    # Two for Newton, one for the multipliers of each point; one more where steps begin, grow, or a mesh is adapted.
+    assert count <= 4 * len(again.points)
+
+
 def test_doublings_of_roessler():
     """Two doublings in turn, the second on the branch of doubled cycles, within their errors of heyoka's."""
     problem, branch = roessler_branch()
     lift, ends = np.zeros(3), (2.3, 4.0)
     for n in (1, 2):
-        located, lost = bifurcations(problem, branch, lift, ends)
+        located, lost = bifurcations(problem, branch, lift)
         assert lost == 0
         assert [point.kind for point in located] == [DOUBLING]
         point = located[0]

@@ -8,7 +8,7 @@ the flow by collocation (`cycles`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 
@@ -26,11 +26,12 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.continuation.cycle_paths import duration_of
 from jaxnh.analyses.continuation.cycle_points import durations, tree_of_cycles
 from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import check_equilibria, cycles_at_hopf_points, equilibria
 from jaxnh.analyses.continuation.families import no_collocation, orbit_family, step_control
-from jaxnh.analyses.continuation.family_tree import Tree, grow
+from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.options.orbits import BranchesOptions
@@ -42,6 +43,9 @@ from jaxnh.orbits.continuation.paths import NO_CONVERGENCE, NO_RETURN
 from jaxnh.systems.flow import Flow
 
 _WORK = 3.0  # of a run, in those of settling: a guess
+# Steps of a return. Its derivatives take 17 μs a step, as of circuit.yaml (130 steps) and peroxidase.yaml (2,500); an
+# evaluation of collocation takes 4 and 7 ms there, and a branch about as many.
+_LONG_RETURN = 500
 
 
 def periods(options: BranchesOptions, lanes: int) -> float:
@@ -77,6 +81,15 @@ def check(options: BranchesOptions, setting: Setting) -> None:
         check_equilibria(setting)
     if options.method == "collocation" and (why := no_collocation(setting.flow)):
         raise OptionError(f"{why}; take method: shooting", "method")
+
+
+def _has_long_returns(batch: LaneBatch, lanes: LaneRunner, waves: Sequence[Sequence[SeedOrbit]]) -> bool:
+    """Return whether orbits of a flow without a clock take so many steps that collocation takes less time."""
+    first = next((seed for wave in waves for seed in wave), None)
+    if first is None or not batch.flow.autonomous or no_collocation(batch.flow):
+        return False
+    steps = batch.steps * duration_of(batch, lanes, first) / batch.flow.period
+    return steps > _LONG_RETURN * len(first.points)
 
 
 def _needs_collocation(flow: Flow, tree: Tree) -> bool:
@@ -135,7 +148,8 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
         if isinstance(batch.system, Section):
             waves.append(cycles_at_hopf_points(still[0], families[0], batch.system))
     tree, timed = None, None
-    if options.method != "collocation":
+    long = options.method == "auto" and _has_long_returns(batch, lanes, waves)
+    if options.method != "collocation" and not long:
         tree = grow(families, waves, options.max_period, steps, stage)
     if tree is None or (options.method == "auto" and _needs_collocation(batch.flow, tree)):
         followed, lost = grow_cycles(batch, lanes, waves, options.max_period, ends, steps, stage)

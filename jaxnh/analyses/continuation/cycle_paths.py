@@ -40,17 +40,28 @@ def first_guesses(
     return guesses
 
 
+def duration_of(batch: LaneBatch, lanes: LaneRunner, seed: SeedOrbit) -> float:
+    """Time that an orbit takes."""
+    n, p = len(seed.points), dict(batch.at_values(np.array([seed.value])).p)
+    if batch.flow is batch.system:
+        return n * batch.flow.period
+    ended = lanes.iterate(batch.strobe(), n, (states_at(batch, lanes, seed.points[:1]), p), tile=_TILE)
+    return float(np.asarray(ended.t)[0])
+
+
 def _times_and_states(
     batch: LaneBatch, lanes: LaneRunner, seed: SeedOrbit
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k d"]]:
     """Times and states around an orbit, close together where it turns; all coordinates of the flow."""
     n, at = len(seed.points), batch.at_values(np.array([seed.value]))
-    state, p, flow = states_at(batch, lanes, seed.points[:1]), dict(at.p), at.without_section()
-    if batch.flow is batch.system:
-        duration = n * batch.flow.period
-    else:
-        ended = lanes.iterate(batch.strobe(), n, (state, p), tile=_TILE)
-        state, duration = state.state, float(np.asarray(ended.t)[0])
+    state, p, flow, duration = (
+        states_at(batch, lanes, seed.points[:1]),
+        dict(at.p),
+        at.without_section(),
+        duration_of(batch, lanes, seed),
+    )
+    if batch.flow is not batch.system:
+        state = state.state
     if not np.isfinite(duration) or duration <= 0.0:
         return np.zeros(1), np.zeros((1, batch.flow.chart.dimension))
     if not batch.flow.autonomous:

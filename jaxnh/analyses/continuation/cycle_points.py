@@ -3,22 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import brentq
 
 from jaxnh.analyses.batch import LaneBatch
-from jaxnh.analyses.continuation.cycles import FollowedCycles
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.maps.section import Section
+from jaxnh.orbits.collocation.bifurcations import CycleBifurcation
 from jaxnh.orbits.collocation.equations import BoundarySolution
+from jaxnh.orbits.collocation.following import CycleBranch
 from jaxnh.orbits.collocation.paths import PiecewisePath, values_at
 from jaxnh.orbits.continuation.arclength import PathVector
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.systems.chart import wrap_angle
 
 _LOOKED_AT = 8  # places of an interval where the sign of the height is looked at
-_HALVINGS = 60
+_ROUNDING = 1e-16  # of the duration
+
+
+class FollowedCycles(NamedTuple):
+    """A branch of cycles with its bifurcations, in both directions from where it was begun.
+
+    Attributes:
+        returns: of its cycles to the section, or periods of a clock.
+        lift: of the end of an orbit over its beginning.
+        branch: from one end to the other.
+        bifurcations: on it, with places of that order.
+    """
+
+    returns: int
+    lift: Float[np.ndarray, " d"]
+    branch: CycleBranch
+    bifurcations: list[CycleBifurcation]
 
 
 def tree_of_cycles(batch: LaneBatch, followed: Sequence[FollowedCycles], lost: int) -> Tree:
@@ -68,13 +87,12 @@ def _passages(section: Section, path: PiecewisePath) -> Float[np.ndarray, " k"]:
     up, down = (heights[:-1] <= 0.0) & (heights[1:] > 0.0), (heights[:-1] >= 0.0) & (heights[1:] < 0.0)
     wanted = {"up": up, "down": down, "both": up | down}[section.direction]
     jumps = np.abs(np.diff(heights)) > np.pi if section.flow.chart.angles[section.number] else np.zeros(len(up), bool)
-    low, high = places[:-1][wanted & ~jumps], places[1:][wanted & ~jumps]
-    rising = _heights(section, path, high) > 0.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        beyond = (_heights(section, path, middle) > 0.0) == rising
-        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
-    return high
+    ends = zip(places[:-1][wanted & ~jumps], places[1:][wanted & ~jumps], strict=True)
+
+    def height(place: float) -> float:
+        return float(_heights(section, path, np.array([place]))[0])
+
+    return np.array([brentq(height, low, high, xtol=_ROUNDING) for low, high in ends])
 
 
 def _heights(section: Section, path: PiecewisePath, places: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:

@@ -7,70 +7,37 @@ not over a return. Results have their points on the section, or at strobes, as t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.cycle_paths import first_guesses
+from jaxnh.analyses.continuation.cycle_points import FollowedCycles, cycle_points
+from jaxnh.analyses.continuation.families import flow_problem
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
+from jaxnh.maps.section import Section
 from jaxnh.orbits.collocation.bifurcations import CycleBifurcation, bifurcations, doubled_cycle
-from jaxnh.orbits.collocation.cycles import closure, hold_parameters, solve_cycles
-from jaxnh.orbits.collocation.equations import BoundarySolution, FieldValues, Problem, combination, moved
-from jaxnh.orbits.collocation.fields import point_rates
-from jaxnh.orbits.collocation.following import (
-    CycleBranch,
+from jaxnh.orbits.collocation.cycle_equations import (
     CyclePoint,
-    follow_cycles,
     invariants,
     point_at,
     remeshed_point,
     reversed_way,
 )
+from jaxnh.orbits.collocation.cycles import closure, hold_parameters, solve_cycles
+from jaxnh.orbits.collocation.equations import BoundarySolution, Problem, combination, moved
+from jaxnh.orbits.collocation.following import CycleBranch, follow_cycles
 from jaxnh.orbits.collocation.newton import correct
 from jaxnh.orbits.continuation.kinds import DOUBLING
 from jaxnh.orbits.continuation.paths import START, StepControl
 
-_TILE = 1024  # points
 _TARGET = 1e-7  # error of the first cycle of a branch, that its mesh is chosen by
 _SAME = 1e-4  # of invariants, in sizes and widths: the cycle is on the branch
 _NEAR = 0.1  # likewise: it may be
 _STILL = 1e-6  # sizes: a cycle smaller than this is an equilibrium
-
-
-class FollowedCycles(NamedTuple):
-    """A branch of cycles with its bifurcations, in both directions from where it was begun.
-
-    Attributes:
-        returns: of its cycles to the section, or periods of a clock.
-        lift: of the end of an orbit over its beginning.
-        branch: from one end to the other.
-        bifurcations: on it, with places of that order.
-    """
-
-    returns: int
-    lift: Float[np.ndarray, " d"]
-    branch: CycleBranch
-    bifurcations: list[CycleBifurcation]
-
-
-def flow_problem(
-    batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], ends: tuple[float, float]
-) -> Problem:
-    """The flow of a batch over its first axis."""
-    name = batch.first_axis.name
-
-    def field(
-        y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points 1"]
-    ) -> FieldValues:
-        p = dict(batch.at_values(values[:, 0]).p)
-        rates = lanes(point_rates, (batch.flow,), (y, t, p), tile=_TILE, static=((name,),))
-        return FieldValues(*map(np.asarray, rates))
-
-    return Problem(field, size, np.array([ends[1] - ends[0]]), not batch.flow.autonomous)
 
 
 def grow_cycles(
@@ -94,11 +61,15 @@ def grow_cycles(
         stage: shows what is done inside, by its label.
     """
     followed, lost, problem = list[FollowedCycles](), 0, None
-    for wave in waves:
-        with stage(f"paths of {len(wave)} orbits"):
-            guesses = first_guesses(batch, lanes, wave)
+    for seed in sorted(itertools.chain(*waves), key=lambda seed: len(seed.points)):
+        if problem is not None and _passes_seed(problem, followed, seed, batch):
+            continue
+        with stage("path of an orbit"):
+            guesses = first_guesses(batch, lanes, [seed])
         for returns, guess in guesses:
-            problem = problem or flow_problem(batch, lanes, _size_of([path for _, path in guesses]), ends)
+            if problem is None:
+                widths = np.array([ends[1] - ends[0]])
+                problem = flow_problem(batch, lanes, _size_of(guess), (batch.first_axis.name,), widths)
             with stage(f"cycles of {returns} returns by collocation"):
                 lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch)
     return followed, lost
@@ -127,7 +98,7 @@ def _follow_on(
         sides = []
         for way in (point, reversed_way(point))[: 1 + both_ways]:
             branch = follow_cycles(problem, way, lift, ends, steps)
-            located, missed = bifurcations(problem, branch, lift, ends)
+            located, missed = bifurcations(problem, branch, lift)
             lost += missed
             sides.append((branch, located))
         new = _joined(n, lift, *sides)
@@ -153,26 +124,38 @@ def _first_point(problem: Problem, guess: BoundarySolution, lift: Float[np.ndarr
 
 def _is_known(problem: Problem, followed: Sequence[FollowedCycles], point: CyclePoint, returns: int) -> bool:
     """Return whether a cycle is on a branch that has been followed."""
-    wanted = invariants(problem, point.solution)
-    for known in followed:
-        if known.returns != returns:
-            continue
-        points = known.branch.points
-        for before, after in itertools.pairwise(points):
-            low, high = sorted((before.value, after.value))
-            if not low <= point.value <= high or low == high:
-                continue
-            share = (point.value - before.value) / (after.value - before.value)
-            ends = invariants(problem, before.solution), invariants(problem, after.solution)
-            if np.linalg.norm(ends[0] + share * (ends[1] - ends[0]) - wanted) > _NEAR:
-                continue
-            nearest = before if share <= 0.5 else after
-            if (
-                np.linalg.norm(invariants(problem, _at_value(problem, nearest, point.value, known.lift)) - wanted)
-                < _SAME
-            ):
+    wanted = invariants(problem, point.solution)[0]
+    for known, nearest, between in _passages(problem, followed, point.value, returns):
+        if np.linalg.norm(between - wanted) <= _NEAR:
+            there = invariants(problem, _at_value(problem, nearest, point.value, known.lift))[0]
+            if np.linalg.norm(there - wanted) < _SAME:
                 return True
     return False
+
+
+def _passes_seed(problem: Problem, followed: Sequence[FollowedCycles], seed: SeedOrbit, batch: LaneBatch) -> bool:
+    """Return whether a branch that has been followed passes an orbit of the return map."""
+    n, system = len(seed.points), batch.system
+    unit = np.delete(problem.size, system.number) if isinstance(system, Section) else problem.size
+    for known, nearest, _ in _passages(problem, followed, seed.value, n):
+        points = cycle_points(batch, _at_value(problem, nearest, seed.value, known.lift), n)
+        gaps = [batch.chart.wrap(np.roll(points, m, 0) - seed.points) / unit for m in range(n)]
+        if min(np.abs(gap).max() for gap in gaps) < _SAME:
+            return True
+    return False
+
+
+def _passages(
+    problem: Problem, followed: Sequence[FollowedCycles], value: float, returns: int
+) -> Iterator[tuple[FollowedCycles, CyclePoint, Float[np.ndarray, " k"]]]:
+    """Branches where they pass a value of the parameter: the nearest point of each, and invariants in between."""
+    for known in (known for known in followed if known.returns == returns):
+        for before, after in itertools.pairwise(known.branch.points):
+            low, high = sorted((before.value, after.value))
+            if low <= value <= high and low < high:
+                share = (value - before.value) / (after.value - before.value)
+                ends = [invariants(problem, end.solution)[0] for end in (before, after)]
+                yield known, before if share <= 0.5 else after, ends[0] + share * (ends[1] - ends[0])
 
 
 def _at_value(problem: Problem, point: CyclePoint, value: float, lift: Float[np.ndarray, " d"]) -> BoundarySolution:
@@ -201,9 +184,9 @@ def _joined(
     return FollowedCycles(returns, lift, whole, [*moved_back, *moved_ahead])
 
 
-def _size_of(guesses: Sequence[BoundarySolution]) -> Float[np.ndarray, " d"]:
-    """Half the extent of most paths in each coordinate."""
-    size = 0.5 * np.median([np.ptp(guess.path.ends[0], axis=0) for guess in guesses], axis=0)
+def _size_of(guess: BoundarySolution) -> Float[np.ndarray, " d"]:
+    """Half the extent of a path in each coordinate."""
+    size = 0.5 * np.ptp(guess.path.ends[0], axis=0)
     return np.where(size > 0.0, size, size.max() or 1.0)
 
 

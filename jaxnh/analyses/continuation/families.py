@@ -104,13 +104,13 @@ def parameter_plane(
     return ParameterPlane(period, batch.chart.wrap, size, low, high)
 
 
-def plane_problem(
-    batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], names: tuple[str, str], widths: np.ndarray
+def flow_problem(
+    batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], names: tuple[str, ...], widths: np.ndarray
 ) -> Problem:
-    """The flow of a batch over a plane of two parameters, for collocation."""
+    """The flow of a batch over parameters that lanes may have of their own, for collocation."""
 
     def field(
-        y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points 2"]
+        y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points q"]
     ) -> FieldValues:
         p = {key: np.full(len(y), leaf[0]) for key, leaf in batch.p.items()} | dict(zip(names, values.T, strict=True))
         tile = _POINTS if len(y) > _FEW else _FEW

@@ -195,7 +195,7 @@ def _locate(
     stretch, first = (jax.tree.map(lambda leaf: leaf[located], part) for part in (stretch, first))
     if not len(located):
         return [], first.orbits, np.zeros(first.orbits.points.shape), lost
-    second, third = (locate(finer, stretch, first.share, _NARROW) for finer in families[1:])
+    second, third = (locate(finer, stretch, first, _NARROW) for finer in families[1:])
     value = second.orbits.value
     error = np.abs(value - first.orbits.value) + np.abs(third.orbits.value - value)
     error += np.maximum(second.error, third.error)

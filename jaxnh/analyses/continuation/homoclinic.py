@@ -29,7 +29,7 @@ from jaxnh.analyses.base import (
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shooting, connection_seeds, saddle_chains
 from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
-from jaxnh.analyses.continuation.families import check_plane, no_collocation, plane_problem, step_control
+from jaxnh.analyses.continuation.families import check_plane, flow_problem, no_collocation, step_control
 from jaxnh.analyses.continuation.tables import special_kinds, special_values
 from jaxnh.analyses.options.orbits import HomoclinicOptions
 from jaxnh.analyses.price import Price, map_alone
@@ -128,7 +128,7 @@ def whole(
             seeds = _seeds(options, batch, lanes, names, high - low, value)
         with lanes.stage(f"homoclinic: curves from {len(seeds)} orbits at {second.name} = {value:g}", 0):
             for seed in seeds:
-                _follow(options, plane_problem(batch, lanes, _size(seed), names, high - low), seed, (low, high), curves)
+                _follow(options, flow_problem(batch, lanes, _size(seed), names, high - low), seed, (low, high), curves)
     with lanes.stage(f"homoclinic: errors of {len(curves)}", 0):
         followed = [_with_errors(problem, curve) for problem, curve in curves]
     return {"homoclinic": _dataset(row, sweep.axes, followed), "connecting_orbits": _orbits(row, followed)}
@@ -145,7 +145,7 @@ def _seeds(
     """Guesses of connecting orbits at a value of the second parameter."""
     u, at, size = equilibria_in_a_box(batch, lanes, options.n_starts, options.seed, options.box)
     values = np.unique(batch.first_axis.values)
-    problem = plane_problem(batch, lanes, size, names, widths)
+    problem = flow_problem(batch, lanes, size, names, widths)
     shooting = Shooting(batch, lanes, problem, value, options.duration, options.pulses)
     chains = saddle_chains(shooting, values, [u[at == one] for one in values])
     return list(connection_seeds(shooting, values, chains))

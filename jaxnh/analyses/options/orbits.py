@@ -63,6 +63,9 @@ class BranchesOptions(Continuation, SensitivityOptions):
 
     max_period: int = Field(default=8, ge=1, le=64, description="Largest period of the orbits that are followed")
     transient: int = Field(default=512, ge=0, description="Periods before lanes are looked at")
+    ds_max: float = Field(
+        default=0.05, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"
+    )
     method: Literal["auto", "shooting", "collocation"] | None = Field(
         default=None,
         description="Orbits of the return map by shooting, the default, or cycles of the flow by collocation, however "

@@ -25,6 +25,7 @@ NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)
 
 _DEGREE = 3  # two less than what would go through all nodes: the rest shows truncation and rounding
 _FIT = np.linalg.pinv(np.vander(NODES, _DEGREE + 1, increasing=True))
+_THROUGH = np.linalg.inv(np.vander(NODES, increasing=True))
 _NARROWER = 64  # from round to round
 _ROUNDS = 4
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
@@ -32,6 +33,7 @@ _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
 _ON_CIRCLE = 1e-4  # of a modulus from one, where the product of two multipliers is one to rounding
 _REAL = 1e-6  # imaginary part of a multiplier, of its modulus
+_STILL = 1e-8  # rates of the parameter that the corrector's last step does not tell from zero
 _BESIDE = np.array([-2.0, -1.0, 1.0, 2.0]) / 64  # of a chord, places beside a branch point
 _BETWEEN = np.array([-1.0, 4.0, 4.0, -1.0]) / 6  # weights of the cubic through them in their middle
 
@@ -66,6 +68,7 @@ class BifurcationPoints(NamedTuple):
         bend: second derivative of the parameter along the curve, in widths of the range, (some,).
         orbits: there.
         exists: whether there is one, (some,).
+        nodes: orbits at `NODES` over the chord, (some, nodes, n, d) and (some, nodes).
     """
 
     share: Float[np.ndarray, " some"]
@@ -74,6 +77,7 @@ class BifurcationPoints(NamedTuple):
     bend: Float[np.ndarray, " some"]
     orbits: CurveOrbits
     exists: Bool[np.ndarray, " some"]
+    nodes: PathVector
 
 
 def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
@@ -81,6 +85,8 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
     order, changed = kinds(family), list[tuple[int, int, int]]()
     for number, branch in enumerate(branches):
         changes = np.diff(np.signbit(branch.tests), axis=0) & np.isfinite(branch.tests[1:] + branch.tests[:-1])
+        turns = np.maximum(np.abs(branch.tests[1:, order.index(FOLD)]), np.abs(branch.tests[:-1, order.index(FOLD)]))
+        changes[:, order.index(FOLD)] &= turns > _STILL
         # Where both change, the branch turns because another one crosses it there: it is that one's pitchfork.
         changes[:, order.index(FOLD)] &= ~changes[:, order.index(BRANCH_POINT)]
         changes[0] &= branch.ends[0] != COLLAPSED  # there it is the doubling of another branch that shows
@@ -104,51 +110,45 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
 
 
 def locate(
-    family: Family,
-    stretch: Brackets,
-    centre: Float[np.ndarray, " some"] | None = None,
-    half: float = 0.5,
+    family: Family, stretch: Brackets, near: BifurcationPoints | None = None, half: float = 0.5
 ) -> BifurcationPoints:
-    """The zeros in brackets, or near shares of their chords that are nearly known, as those of another map.
+    """The zeros in brackets, or near those of another map.
 
     Args:
         family: the map.
         stretch: where.
-        centre: shares of the chords, by default the middle.
+        near: zeros of a map that is nearly the same.
         half: of the chord, that the first nodes reach to either side.
     """
     count = len(stretch.kind)
-    centre, widths = np.full(count, 0.5) if centre is None else np.array(centre), np.full(count, half)
-    none = np.full(count, np.nan)
-    begun = _orbits(family, stretch, centre)
-    best = BifurcationPoints(centre.copy(), none, np.full(count, np.inf), np.zeros(count), begun, np.zeros(count, bool))
-    sharp, open_ = np.full(count, np.inf), np.arange(count)
-    for _ in range(_ROUNDS):
-        part: Brackets = jax.tree.map(lambda leaf, o=open_: leaf[o], stretch)
-        shares = centre[open_, None] + widths[open_, None] * NODES
-        nodes = _orbits(family, jax.tree.map(lambda leaf: np.repeat(leaf, len(NODES), axis=0), part), shares.ravel())
-        good = nodes.converged.reshape(shares.shape).all(axis=1)
+    share, none = np.full(count, 0.5) if near is None else near.share.copy(), np.full(count, np.nan)
+    value, error, bend, exists = none, np.full(count, np.inf), np.zeros(count), np.zeros(count, bool)
+    along, widths, open_ = _cubics(stretch) if near is None else near.nodes, np.full(count, half), np.arange(count)
+    for number in range(_ROUNDS):
+        part, of_part = (jax.tree.map(lambda leaf, o=open_: leaf[o], tree) for tree in (stretch, along))
+        shares = share[open_, None] + widths[open_, None] * NODES
+        nodes = _orbits(family, part, shares, of_part)
+        values = nodes.value.reshape(shares.shape)
         tests = _own_test(family, nodes, np.repeat(part.kind, len(NODES))).reshape(shares.shape)
-        root, blur, value, error, bend = roots(tests, nodes.value.reshape(shares.shape))
+        root, blur, at_root, off, turn = roots(tests, values)
         blur = blur * widths[open_]
+        good = nodes.converged.reshape(shares.shape).all(axis=1)
+        if near is None and not number:
+            along.points[good], along.value[good] = nodes.points.reshape(along.points.shape)[good], values[good]
         with np.errstate(invalid="ignore"):
-            good &= np.isfinite(root) & (blur < _NOISE * half) & (error < 0.25 * best.error[open_])
-        some_good = open_[good]
-        best.share[some_good] = centre[some_good] + widths[some_good] * root[good]
-        best.value[some_good] = value[good]
-        size = length(family, part.chord)[good] * widths[some_good]
-        best.error[some_good], best.bend[some_good] = error[good], bend[good] / family.width / size**2
-        best.exists[some_good], sharp[some_good] = True, blur[good]
-        centre[some_good] = best.share[some_good]
-        inside = np.abs(root[good]) <= 1.0
-        widths[some_good] /= np.where(inside, _NARROWER, 1.0)
-        open_ = some_good
+            good &= np.isfinite(root) & (blur < _NOISE * half) & (off < 0.25 * error[open_])
+        open_, width, root = open_[good], widths[open_][good], root[good]
+        share[open_] += width * root
+        value[open_], error[open_], exists[open_] = at_root[good], off[good], True
+        bend[open_] = turn[good] / family.width / (length(family, part.chord)[good] * width) ** 2
+        widths[open_] /= np.where(np.abs(root) <= 1.0, _NARROWER, 1.0)
         if not len(open_):
             break
-    at_root = _at_roots(family, stretch, best.share)
-    ways = _crossing_directions(family, stretch, best.share, at_root)
-    orbits = at_root._replace(value=best.value, way=ways[0], other_way=ways[1])
-    return best._replace(orbits=orbits, exists=best.exists & at_root.converged)
+    orbits = _at_roots(family, stretch, share, along)
+    ways = _crossing_directions(family, stretch, share, orbits)
+    exists &= orbits.converged
+    orbits = orbits._replace(value=value, way=ways[0], other_way=ways[1])
+    return BifurcationPoints(share, value, error, bend, orbits, exists, along)
 
 
 def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some"]:
@@ -169,34 +169,43 @@ def critical(family: Family, values: Complex[np.ndarray, "some d"]) -> Complex[n
     return np.where(np.isfinite(away.min(axis=1)), chosen, np.nan)
 
 
-def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> CurveOrbits:
-    """The orbits of the curve in the hyperplanes across the chord at shares of it, from a cubic through both ends."""
+def _cubics(stretch: Brackets) -> PathVector:
+    """Cubics through both ends of chords at `NODES` over them."""
     begun, chord, (first, second) = stretch.begun, stretch.chord, stretch.ways
-    s, left = share, 1.0 - share
-    parts = (s * s * (3.0 - 2.0 * s), chord), (s * left**2, first), (-s * s * left, second)
-    points = begun.points + sum(times(weight, way).points for weight, way in parts)
-    value = begun.value + sum(times(weight, way).value for weight, way in parts)
-    # Onto the hyperplane: the cubic's own share of the chord is not quite the one asked for.
+    s = 0.5 + 0.5 * NODES
+    parts = (s * s * (3.0 - 2.0 * s), chord), (s * (1.0 - s) ** 2, first), (-s * s * (1.0 - s), second)
+    points = begun.points[:, None] + sum(weight[:, None, None] * way.points[:, None] for weight, way in parts)
+    return PathVector(points, begun.value[:, None] + sum(weight * way.value[:, None] for weight, way in parts))
+
+
+def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, "some k"], along: PathVector) -> CurveOrbits:
+    """The orbits of the curve in the hyperplanes across chords at shares of them, from polynomials through nodes."""
+    place = np.vander(2.0 * share.ravel() - 1.0, len(NODES), increasing=True)
+    weights = (place[:, :, None] * _THROUGH).sum(axis=1).reshape(*share.shape, len(NODES))
+    points = np.sum(weights[..., None, None] * along.points[:, None], axis=2).reshape(-1, *along.points.shape[2:])
+    value = np.sum(weights * along.value[:, None], axis=2).ravel()
+    stretch = jax.tree.map(lambda leaf: np.repeat(leaf, share.shape[1], axis=0), stretch)
+    begun, chord = stretch.begun, stretch.chord
+    # Onto the hyperplane: the polynomial's own share of the chord is not quite the one asked for.
     size = inner(family, chord, chord)
     gone = inner(family, PathVector(points - begun.points, value - begun.value), chord) / size
-    more = times(share - gone, chord)
+    more = times(share.ravel() - gone, chord)
     return correct(family, points + more.points, value + more.value, times(1.0 / np.sqrt(size), chord), FINE)
 
 
-def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"]) -> CurveOrbits:
+def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"], along: PathVector) -> CurveOrbits:
     """The orbits at roots; where another branch crosses, from those beside: there Newton's equations are singular."""
-    orbits = _orbits(family, stretch, share)
+    orbits = _orbits(family, stretch, share[:, None], along)
     cross = np.flatnonzero(stretch.kind == BRANCH_POINT)
     if not len(cross):
         return orbits
-    part: Brackets = jax.tree.map(lambda leaf: leaf[cross], stretch)
-    four: Brackets = jax.tree.map(lambda leaf: np.repeat(leaf, len(_BESIDE), axis=0), part)
-    beside = _orbits(family, four, (share[cross, None] + _BESIDE).ravel())
+    part, of_part = (jax.tree.map(lambda leaf: leaf[cross], tree) for tree in (stretch, along))
+    beside = _orbits(family, part, share[cross, None] + _BESIDE, of_part)
     points = beside.points.reshape(len(cross), len(_BESIDE), *beside.points.shape[1:])
     middle = np.sum(points * _BETWEEN[:, None, None], axis=1)
     value = np.sum(beside.value.reshape(len(cross), -1) * _BETWEEN, axis=1)
-    along = times(1.0 / length(family, part.chord), part.chord)
-    crossings = correct(family, middle, value, along, np.inf)
+    chord = times(1.0 / length(family, part.chord), part.chord)
+    crossings = correct(family, middle, value, chord, np.inf)
     crossings = crossings._replace(converged=crossings.converged & beside.converged.reshape(len(cross), -1).all(axis=1))
     for leaf, new in zip(jax.tree.leaves(orbits), jax.tree.leaves(crossings), strict=True):
         leaf[cross] = new

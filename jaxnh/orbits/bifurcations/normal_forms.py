@@ -12,6 +12,7 @@ it is the same with M = 1 + A and z = 1 + iω. B and C are differences of ∂P/�
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -61,7 +62,11 @@ def cubic(family: Family, orbits: CurveOrbits, kind: Int[np.ndarray, " some"]) -
         known = np.isfinite(z)
         subset, at_points, z = subset[known], at_points.take(known), z[known]
         q = _normal(family, at_points, _null(at_points.blocks, z, real))
-        one, two = (_coefficient(family, at_points, q, z, real, h) for h in (_SHIFT, 2.0 * _SHIFT))
+        parts = (np.real(q),) if real else (np.real(q), np.imag(q))
+        moved = _moved_blocks(family, at_points, parts)
+        one, two = (
+            _coefficient(family, at_points, q, z, real, h, moved[:, k]) for k, h in enumerate((_SHIFT, 2.0 * _SHIFT))
+        )
         result.coefficient[subset], result.error[subset] = one, np.abs(two - one)
         result.vectors[subset] = q
     with np.errstate(invalid="ignore"):
@@ -78,14 +83,18 @@ def _normal(family: Family, orbits: CurveOrbits, q: Complex[np.ndarray, "some n 
 
 
 def _coefficient(
-    family: Family, orbits: CurveOrbits, q: np.ndarray, z: Complex[np.ndarray, " some"], real: bool, h: float
+    family: Family,
+    orbits: CurveOrbits,
+    q: np.ndarray,
+    z: Complex[np.ndarray, " some"],
+    real: bool,
+    h: float,
+    moved: Float[np.ndarray, "parts 2 some n d d"],
 ) -> Float[np.ndarray, " some"]:
-    """Real part of s with differences over ±h."""
+    """Real part of s with differences of derivatives at points moved by ±h along the real and imaginary parts of q."""
     blocks = orbits.blocks
-    parts = (np.real(q),) if real else (np.real(q), np.imag(q))
     first, second = np.zeros(blocks.shape, complex), np.zeros(blocks.shape)
-    for factor, part in zip((1.0, 1j), parts, strict=False):
-        ahead, behind = (_blocks(family, orbits, part, sign * h) for sign in (1.0, -1.0))
+    for factor, (ahead, behind) in zip((1.0, 1j), moved, strict=False):
         first = first + factor * (ahead - behind) / (2.0 * h)  # B(q, ·)
         second = second + (ahead - 2.0 * blocks + behind) / h**2  # C(q, q̄, ·)
     left = _left(blocks, z, real)
@@ -101,11 +110,16 @@ def _coefficient(
     return np.real(np.sum(left * g, axis=(1, 2))) * (1 / 3 if real else 1.0)
 
 
-def _blocks(family: Family, orbits: CurveOrbits, way: np.ndarray, shift: float) -> np.ndarray:
-    """∂P/∂u in sizes at points moved along a way that is given in sizes."""
-    points = orbits.points + shift * way * family.size
-    _, matrix, _ = family.period(points.reshape(-1, points.shape[-1]), np.repeat(orbits.value, points.shape[1]))
-    return np.asarray(matrix).reshape(orbits.blocks.shape) * (family.size / family.size[:, None])
+def _moved_blocks(
+    family: Family, orbits: CurveOrbits, parts: Sequence[np.ndarray]
+) -> Float[np.ndarray, "parts 2 2 some n d d"]:
+    """∂P/∂u in sizes at points moved along ways given in sizes by h and −h, and by twice as much, in one call."""
+    shifts = _SHIFT * np.array([[1.0, -1.0], [2.0, -2.0]])
+    ways = np.stack(parts)[:, None, None] * family.size
+    points = orbits.points + shifts[..., None, None, None] * ways
+    values = np.broadcast_to(orbits.value[:, None], points.shape[:-1])
+    _, matrix, _ = family.period(points.reshape(-1, points.shape[-1]), values.ravel())
+    return np.asarray(matrix).reshape(*points.shape, -1) * (family.size / family.size[:, None])
 
 
 def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -12,8 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import brentq, root_scalar
 
 from jaxnh.orbits import cyclic
+from jaxnh.orbits.collocation.cycle_equations import CollocationEquations, CyclePoint, point_at
 from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.equations import (
     BoundarySolution,
@@ -24,13 +26,15 @@ from jaxnh.orbits.collocation.equations import (
     linearise,
     moved,
 )
-from jaxnh.orbits.collocation.following import CycleBranch, CyclePoint, difference, point_at, remeshed_point, step_along
+from jaxnh.orbits.collocation.following import CycleBranch
 from jaxnh.orbits.collocation.newton import correct
-from jaxnh.orbits.collocation.paths import PiecewisePath, gauss_rule
+from jaxnh.orbits.collocation.paths import PiecewisePath, gauss_rule, halved, on_mesh
+from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, NEIMARK_SACKER
 
 _STEPS = 40
-_ROOT = 1e-12  # of a step: change of the place of a zero that is too small to matter
+_ROOT = 1e-12  # of a chord: change of the place of a zero that is too small to matter
+_BESIDE = 1e-5  # of a chord
 _ZERO = 1e-6  # of its values around: that of a test function at a zero
 _AWAY = (2e-2, 4e-3, 1e-3, 2.5e-4)  # from a doubling, in lengths, tried in this order
 _STRAIGHT = 0.9  # cosine of the angle between the branch there and the direction it sets out in
@@ -75,7 +79,7 @@ def torus_test(point: CyclePoint) -> float:
 
 
 def bifurcations(
-    problem: Problem, branch: CycleBranch, lift: Float[np.ndarray, " d"], ends: tuple[float, float]
+    problem: Problem, branch: CycleBranch, lift: Float[np.ndarray, " d"]
 ) -> tuple[list[CycleBifurcation], int]:
     """The bifurcations on a branch in its order, and how many changes of sign led to none."""
     located, lost = list[CycleBifurcation](), 0
@@ -94,7 +98,7 @@ def bifurcations(
             if kind != FOLD and not (now.resolved and after.resolved):
                 lost += 1
                 continue
-            point, error = _locate(problem, now, after, lift, ends, test)
+            point, error = _locate(problem, now, after, lift, test)
             if point is None:
                 lost += 1
             elif kind != NEIMARK_SACKER or not _neutral(point):
@@ -128,10 +132,9 @@ def doubled_cycle(problem: Problem, point: CyclePoint, lift: Float[np.ndarray, "
         guess = moved(problem, begun, combination([(away, way)]))
         corrected = correct(problem, guess, closure(problem, 2.0 * lift[None]), lambda line, lanes: [way])
         if corrected.converged[0]:
-            gone = difference(problem, corrected.solution, begun)
-            cosine = inner(whole, gone, way) / np.sqrt(inner(whole, gone, gone))
-            if cosine[0] >= _STRAIGHT:
-                return point_at(problem, corrected.solution, 2.0 * lift, way)
+            nearby = point_at(problem, corrected.solution, 2.0 * lift, way)
+            if inner(whole, nearby.way, way)[0] >= _STRAIGHT:
+                return nearby
     return None
 
 
@@ -140,47 +143,58 @@ def _locate(
     now: CyclePoint,
     after: CyclePoint,
     lift: Float[np.ndarray, " d"],
-    ends: tuple[float, float],
     test: Callable[[CyclePoint], float],
 ) -> tuple[CyclePoint | None, float]:
     """The point between two of a branch where a test function is zero, on the halves of the mesh; and the error."""
-    points = list[CyclePoint]()
-    n = after.solution.path.stages.shape[1]
-    for intervals in (n, 2 * n):
-        point = _zero(problem, remeshed_point(problem, now, intervals), after, lift, ends, test)
-        if point is None:
-            return None, np.inf
-        points.append(point)
-    coarse, fine = points
-    return fine, abs(fine.value - coarse.value) + _FLOOR * float(problem.widths[0])
+    path, scale = after.solution.path, abs(test(now)) + abs(test(after))
+    near = after.solution, after.solution._replace(path=on_mesh(path, halved(path.mesh)))
+    coarse, fine = (_Chord(CollocationEquations(problem, one, lift), now, after, test) for one in near)
+    known = {0.0: test(now), 1.0: test(after)}
+    try:
+        share = float(brentq(lambda s: known.get(s) or coarse.test(s), 0.0, 1.0, xtol=_ROOT))  # pyright: ignore[reportArgumentType]
+        root = root_scalar(fine.test, method="secant", x0=share, x1=share + _BESIDE, xtol=_ROOT, maxiter=_STEPS).root
+        first, point = coarse.point(share), fine.point(root)
+    except _NoPointError:
+        return None, np.inf
+    if max(abs(test(first)), abs(test(point))) > _ZERO * scale:
+        return None, np.inf
+    return point, abs(point.value - first.value) + _FLOOR * float(problem.widths[0])
 
 
-def _zero(
-    problem: Problem,
-    now: CyclePoint,
-    after: CyclePoint,
-    lift: Float[np.ndarray, " d"],
-    ends: tuple[float, float],
-    test: Callable[[CyclePoint], float],
-) -> CyclePoint | None:
-    """The same on one mesh, by false position with the Illinois rule (Dowell and Jarratt, BIT 11 (1971) 168)."""
-    low, at_low, high, at_high = 0.0, test(now), after.step, test(after)
-    scale, before = abs(at_low) + abs(at_high), np.inf
-    for _ in range(_STEPS):
-        size = (low * at_high - high * at_low) / (at_high - at_low)
-        point, _ = step_along(problem, now, lift, size, ends)
-        if point is None:
-            return None
-        at_size = test(point)
-        if at_size == 0.0 or abs(size - before) <= _ROOT * after.step:
-            return point if abs(at_size) <= _ZERO * scale else None
-        before = size
-        if at_size * at_high < 0.0:
-            low, at_low = high, at_high
-        else:
-            at_low *= 0.5
-        high, at_high = size, at_size
-    return None
+class _NoPointError(Exception):
+    """Newton comes to no point of a branch."""
+
+
+class _Chord:
+    """The branch between two of its points, on one mesh, by shares of the chord from one to the other."""
+
+    def __init__(
+        self,
+        equations: CollocationEquations,
+        now: CyclePoint,
+        after: CyclePoint,
+        test: Callable[[CyclePoint], float],
+    ) -> None:
+        self._equations, self._test = equations, test
+        (self._first, ahead), (last, beyond) = (self._equations.of_point(point) for point in (now, after))
+        self._chord = last - self._first
+        length = core.norm(self._equations.unit, self._chord)
+        self._normal = self._chord / length[:, None]
+        self._ways = length * ahead, length * beyond
+
+    def point(self, share: float) -> CyclePoint:
+        """The point in the hyperplane across the chord at a share of it, from a cubic; raises `_NoPointError`."""
+        s, left, unit = share, 1.0 - share, self._equations.unit
+        bent = s * s * (3.0 - 2.0 * s) * self._chord + s * left**2 * self._ways[0] - s * s * left * self._ways[1]
+        off = s * core.norm(unit, self._chord) - core.inner(unit, bent, self._normal)
+        found = core.correct(self._equations, self._first + bent + off[:, None] * self._normal, self._normal, core.FINE)
+        if not found.converged[0]:
+            raise _NoPointError
+        return self._equations.points(found)[0]
+
+    def test(self, share: float) -> float:
+        """The test function there."""
+        return self._test(self.point(share))
 
 
 def _neutral(point: CyclePoint) -> bool:

@@ -17,7 +17,6 @@ from jaxnh.orbits.collocation.equations import (
     Variation,
     fixed,
     linearise,
-    rates_on,
 )
 from jaxnh.orbits.collocation.newton import BoundaryOf, correct, on_adapted_mesh, put, take
 from jaxnh.orbits.collocation.paths import halved, on_mesh
@@ -92,7 +91,10 @@ def floquet_blocks(
 
 
 def cycle_multipliers(
-    problem: Problem, solution: BoundarySolution, blocks: Float[np.ndarray, "lanes n d d"]
+    problem: Problem,
+    solution: BoundarySolution,
+    blocks: Float[np.ndarray, "lanes n d d"],
+    divergence: Float[np.ndarray, " lanes"],
 ) -> tuple[Complex[np.ndarray, "lanes e"], Float[np.ndarray, "lanes e"]]:
     """Multipliers, and their errors by Liouville's formula: the logarithms' sum is the integral of the divergence.
 
@@ -101,8 +103,6 @@ def cycle_multipliers(
     logarithm says nothing of the others: where too little decay is missing, the error is that multiplier's own.
     """
     values = multipliers(merged(floquet_blocks(problem, solution, blocks)))
-    jacobian = rates_on(problem, solution).jacobian
-    divergence = np.sum(solution.path.measure * np.trace(jacobian, axis1=3, axis2=4), axis=(1, 2))
     sizes = np.abs(values)
     with np.errstate(over="ignore"):
         missing = divergence - np.sum(np.log(np.maximum(sizes, _TINY)), axis=1)
@@ -181,6 +181,6 @@ def _multipliers(problem: Problem, solution: BoundarySolution, boundary: Boundar
     finite = np.flatnonzero(np.isfinite(solution.path.stages).all(axis=(1, 2, 3)) & np.isfinite(solution.duration))
     if len(finite):
         part = take(solution, finite)
-        blocks = linearise(problem, part, boundary(part, finite)).blocks
-        values[finite], errors[finite] = cycle_multipliers(problem, part, blocks)
+        line = linearise(problem, part, boundary(part, finite))
+        values[finite], errors[finite] = cycle_multipliers(problem, part, line.blocks, line.divergence)
     return values, errors

@@ -108,18 +108,18 @@ class NewtonSystem(NamedTuple):
 
     Attributes:
         blocks: derivative of the end of each interval by its beginning, (lanes, n, d, d).
-        cycle: what is left for the ends, eliminated.
         particular: one solution.
         null: solutions without right-hand sides, 1 + q of them.
         rate: dy/dτ of the path, in sizes, (lanes, n, m, d).
+        divergence: integral of the field's divergence over the path, (lanes,).
         residual: largest component of the equations, in sizes, (lanes,).
     """
 
     blocks: Float[np.ndarray, "lanes n d d"]
-    cycle: cyclic.Cyclic
     particular: Variation
     null: Sequence[Variation]
     rate: Float[np.ndarray, "lanes n m d"]
+    divergence: Float[np.ndarray, " lanes"]
     residual: Float[np.ndarray, " lanes"]
 
 
@@ -207,9 +207,9 @@ def linearise(problem: Problem, solution: BoundarySolution, boundary: BoundaryCo
         inside = np.concatenate([inside, np.full((lanes, n, 1), known)], axis=2)
         return Variation(y, (stages @ inside[:, :, None, :, None])[..., 0], x)
 
-    return NewtonSystem(
-        blocks, cycle, variation(*least, 1.0), [variation(*one, 0.0) for one in null], at.rate, residual
-    )
+    directions = [variation(*one, 0.0) for one in null]
+    divergence = np.sum(path.measure * np.trace(at.jacobian, axis1=3, axis2=4), axis=(1, 2))
+    return NewtonSystem(blocks, variation(*least, 1.0), directions, at.rate, divergence, residual)
 
 
 def phase_condition(problem: Problem, line: NewtonSystem) -> Variation:
@@ -227,10 +227,18 @@ def fixed(line: NewtonSystem, number: int) -> Variation:
     return Variation(0.0 * line.particular.ends, 0.0 * line.particular.stages, extra)
 
 
-def step_without(path: PiecewisePath, line: NewtonSystem, directions: Sequence[Variation]) -> Variation:
-    """The step of Newton that is orthogonal to as many directions as there are solutions without right-hand sides."""
+def step_without(
+    path: PiecewisePath,
+    line: NewtonSystem,
+    directions: Sequence[Variation],
+    gone: Float[np.ndarray, "lanes k"] | float = 0.0,
+) -> Variation:
+    """The step of Newton that is orthogonal to as many directions as there are solutions without right-hand sides.
+
+    Or takes back what solutions have `gone` along them.
+    """
     matrix = np.stack([[inner(path, way, one) for one in line.null] for way in directions])
-    right = np.stack([-inner(path, way, line.particular) for way in directions], axis=1)
+    right = -np.stack([inner(path, way, line.particular) for way in directions], axis=1) - gone
     shares = np.linalg.solve(np.moveaxis(matrix, 2, 0), right[..., None])[..., 0]
     return combination([(1.0, line.particular), *((shares[:, k], one) for k, one in enumerate(line.null))])
 

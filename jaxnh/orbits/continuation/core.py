@@ -20,7 +20,7 @@ FINE = 1e-9
 ROUGH = 1e-6
 """Step of Newton, in lengths, whose square is small enough: between the marked points of a branch."""
 
-_CERTAIN = 1e-5  # of a tolerance: a step this short leaves derivatives that need no further iterate
+_CERTAIN = 1e-11  # step that leaves derivatives which need no further iterate, where rounding is not asked for
 _NEWTON_STEPS = 12
 _CONTRACTION = 0.5  # of successive steps; Newton that contracts less is on its way to another curve
 
@@ -167,7 +167,7 @@ def correct(
         size = norm(unit, step)
         known = last[active] <= tolerance
         with np.errstate(invalid="ignore"):
-            certain = ~known & (size <= _CERTAIN * tolerance)
+            certain = ~known & (size <= _CERTAIN) & (tolerance > FINE)
             shrinks = (size <= _CONTRACTION * last[active]) if reach is None else size <= reach[active]
         done = known | certain
         rest = active[done]

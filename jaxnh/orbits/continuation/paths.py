@@ -202,6 +202,27 @@ class Path:
         self._advance(polynomials, taken, good, step, ~done)
         return active[done]
 
+    def move(self, equations: CurveEquations, now: Solution, carried: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Go on with other unknowns for the same curves, as on another mesh; what was come through has been taken.
+
+        Args:
+            equations: of the new unknowns.
+            now: where the lanes on their way are.
+            carried: old unknowns or directions, (lanes, N), as new ones.
+        """
+        self._past = _History(
+            *(
+                np.stack([newest, *map(carried, older[1:])])
+                for newest, older in zip((now.z, now.way), self._past, strict=True)
+            )
+        )
+        self._begun = self._begun._replace(z=carried(self._begun.z), way=carried(self._begun.way))
+        self._equations, self._now = equations, now
+
+    def met(self, lane: int) -> int:
+        """Return how many points `track` would."""
+        return len(self._rows[lane])
+
     def track(self, lane: int) -> Solution:
         """Return the points that a lane has come through, and forget them."""
         rows, self._rows[lane] = self._rows[lane], []

@@ -1,0 +1,276 @@
+"""Cycles on one mesh as equations of the core of continuation, and points of their branches. Host code.
+
+Lengths are those of `equations.inner`: of the orbit in sizes of the motion, of the logarithm of its duration, and of
+the parameter in the width of its range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+
+from jaxnh.orbits.collocation.cycles import closure, cycle_multipliers
+from jaxnh.orbits.collocation.equations import (
+    BoundarySolution,
+    NewtonSystem,
+    Problem,
+    Variation,
+    combination,
+    direction_without,
+    inner,
+    linearise,
+    phase_condition,
+    step_without,
+)
+from jaxnh.orbits.collocation.newton import take
+from jaxnh.orbits.collocation.paths import PiecewisePath, adapted_mesh, interpolation_errors, on_mesh, values_at
+from jaxnh.orbits.continuation import core
+from jaxnh.orbits.continuation.core import Evaluation, LinearSolution, Solution
+from jaxnh.orbits.continuation.paths import CLOSED, COLLAPSED, UNBOUNDED
+
+_RESOLVED = 1e-4  # error of a multiplier, relative to it or absolute where it is small, at which meshes are fine enough
+_SMOOTH = 1e-5  # error of polynomials within intervals, likewise
+_UNEVEN, _EVEN_ENOUGH = 100.0, 0.1  # times the median error, and of the error above: a mesh is adapted beyond both
+_FARTHEST = 1e3  # sizes of the motion
+_LEAST_LOOP = 8  # points of a closed branch
+_SAMPLED = 32  # points of an orbit that tell whether it has become one of half the duration
+
+
+class CyclePoint(NamedTuple):
+    """A point of a branch, one lane.
+
+    Attributes:
+        solution: the cycle.
+        way: direction of the branch.
+        multipliers, errors: Floquet multipliers, and how far the mesh is from resolving each, (e,).
+        bends: errors of the polynomials in each interval, in sizes, (n,).
+        residual: largest component of the equations, in sizes.
+    """
+
+    solution: BoundarySolution
+    way: Variation
+    multipliers: Complex[np.ndarray, " e"]
+    errors: Float[np.ndarray, " e"]
+    bends: Float[np.ndarray, " n"]
+    residual: float
+
+    @property
+    def resolved(self) -> bool:
+        """Tell whether the multipliers are known well enough to see what changes along the branch."""
+        return bool(np.all(self.errors <= _RESOLVED * np.maximum(1.0, np.abs(self.multipliers))))
+
+    @property
+    def fine(self) -> bool:
+        """Tell whether its mesh is fine enough."""
+        return self.resolved and bool(self.bends.max() <= _SMOOTH)
+
+    @property
+    def even(self) -> bool:
+        """Tell whether errors are spread over its mesh evenly enough to stay on it."""
+        return bool(self.bends.max() <= max(_UNEVEN * np.median(self.bends), _EVEN_ENOUGH * _SMOOTH))
+
+    @property
+    def value(self) -> float:
+        """Value of the parameter."""
+        return float(self.solution.values[0, 0])
+
+
+class CollocationEquations:
+    """Cycles on one mesh as `core.CurveEquations`: states, the logarithm of the duration, and the parameter.
+
+    Orbits are not shifted along themselves against one of them, which is the integral phase condition: without a fixed
+    reference the shifts of points would grow from one prediction through them to the next. States at the ends of
+    intervals follow from those inside, and count in no length.
+
+    Args:
+        problem: the field, with one parameter.
+        near: the cycle that is the reference, one lane, on the mesh.
+        lift: of the end of an orbit over its beginning.
+        ends: of the range of the parameter, the lower one first; by default it has none.
+        passed: points of the branch so far, the first of which tell where it closes.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        near: BoundarySolution,
+        lift: Float[np.ndarray, " d"],
+        ends: tuple[float, float] = (-np.inf, np.inf),
+        passed: Sequence[CyclePoint] = (),
+    ) -> None:
+        path = near.path
+        self._problem, self._mesh, self._lift, self._range, self._passed = problem, path.mesh, lift, ends, passed
+        self._ends, self._stages = path.ends.shape[1:], path.stages.shape[1:]
+        inside = (problem.size / np.sqrt(path.measure[..., None])).ravel()
+        self.unit = np.concatenate([np.full(path.ends.size, np.inf), inside, [1.0], problem.widths])
+        self.low, self.high = np.array([ends[0]]), np.array([ends[1]])
+        self._near, self._shift = self.unknowns(near), phase_condition(problem, self._linear(near))
+
+    def unknowns(self, solution: BoundarySolution) -> Float[np.ndarray, "lanes N"]:
+        """Unknowns of cycles on this mesh."""
+        path, lanes = solution.path, len(solution.duration)
+        states = (path.ends.reshape(lanes, -1), path.stages.reshape(lanes, -1))
+        return np.concatenate([*states, np.log(solution.duration)[:, None], solution.values], axis=1)
+
+    def solution(self, z: Float[np.ndarray, "lanes N"]) -> BoundarySolution:
+        """Cycles of unknowns."""
+        ends, stages = self._states(z)
+        mesh = np.broadcast_to(self._mesh, (len(z), self._mesh.shape[1]))
+        return BoundarySolution(PiecewisePath(mesh, ends, stages), np.exp(z[:, -2]), z[:, -1:])
+
+    def direction(self, way: Variation) -> Float[np.ndarray, "lanes N"]:
+        """A direction of cycles as one of unknowns."""
+        size, lanes = self._problem.size, len(way.extra)
+        states = ((way.ends * size).reshape(lanes, -1), (way.stages * size).reshape(lanes, -1))
+        return np.concatenate([*states, way.extra[:, :1], way.extra[:, 1:] * self._problem.widths], axis=1)
+
+    def variation(self, z: Float[np.ndarray, "lanes N"]) -> Variation:
+        """A direction of unknowns as one of cycles."""
+        ends, stages = self._states(z)
+        extra = np.concatenate([z[:, -2:-1], z[:, -1:] / self._problem.widths], axis=1)
+        return Variation(ends / self._problem.size, stages / self._problem.size, extra)
+
+    def adapted(self, near: BoundarySolution, n: int) -> CollocationEquations:
+        """The equations near a cycle on a mesh of n intervals that suits it."""
+        path = on_mesh(near.path, adapted_mesh(near.path, self._problem.size, n))
+        return CollocationEquations(self._problem, near._replace(path=path), self._lift, self._range, self._passed)
+
+    def carried(self, z: Float[np.ndarray, "lanes N"], others: CollocationEquations) -> Float[np.ndarray, "lanes M"]:
+        """Unknowns or directions as those on the mesh of other equations."""
+        mesh, other = (np.broadcast_to(one, (len(z), one.shape[1])) for one in (self._mesh, others._mesh))
+        path = on_mesh(PiecewisePath(mesh, *self._states(z)), other)
+        return np.concatenate([path.ends.reshape(len(z), -1), path.stages.reshape(len(z), -1), z[:, -2:]], axis=1)
+
+    def of_point(self, point: CyclePoint) -> tuple[Float[np.ndarray, "1 N"], Float[np.ndarray, "1 N"]]:
+        """Unknowns of a point on any mesh, and its direction."""
+        path, way = point.solution.path, point.way
+        if path.mesh is not self._mesh:
+            moved = on_mesh(PiecewisePath(path.mesh, way.ends, way.stages), self._mesh)
+            path, way = on_mesh(path, self._mesh), Variation(moved.ends, moved.stages, way.extra)
+        return self.unknowns(point.solution._replace(path=path)), self.direction(way)
+
+    def points(self, found: Solution) -> list[CyclePoint]:
+        """Points of the branch with their multipliers, from solutions."""
+        solution, way = self.solution(found.z), self.variation(found.way)
+        blocks = found.blocks[:, :-1].reshape(len(found.z), self._stages[0], *2 * [self._stages[2]])
+        values, errors = cycle_multipliers(self._problem, solution, blocks, found.blocks[:, -1])
+        bends = interpolation_errors(solution.path, self._problem.size)
+        return [
+            CyclePoint(take(solution, [k]), take(way, [k]), values[k], errors[k], bends[k], float(found.residual[k]))
+            for k in range(len(values))
+        ]
+
+    def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
+        """Residuals; and what Newton's equations have as solutions; not finite where they are singular."""
+        lanes, solution = len(z), self.solution(z)
+        phase = Variation(*(np.repeat(leaf, lanes, axis=0) for leaf in self._shift))
+        try:
+            line, gone = self._linear(solution), inner(solution.path, phase, self.variation(z - self._near))
+            way = direction_without(solution.path, line, [phase, phase])
+            step = step_without(solution.path, line, [phase, way], np.stack([gone, 0.0 * gone], axis=1))
+        except np.linalg.LinAlgError:
+            count = self._stages[0] * self._stages[2] ** 2 + 1
+            return Evaluation(*(np.full((lanes, *shape), np.nan) for shape in ((2,), (count,), (2, z.shape[1]))))
+        residual = np.stack([line.residual, gone / np.sqrt(inner(solution.path, phase, phase))], axis=1)
+        kept = np.concatenate([line.blocks.reshape(lanes, -1), line.divergence[:, None]], axis=1)
+        slopes = np.stack([self.direction(step), self.direction(way)], axis=1)
+        return Evaluation(residual, kept, slopes)
+
+    def solve(self, at: Evaluation, /) -> LinearSolution:
+        """The step and the direction; where other curves pass is told by multipliers."""
+        least, null = at.slopes[:, 0], at.slopes[:, 1]
+        return LinearSolution(least, null, np.zeros_like(null), np.full(len(null), np.nan))
+
+    def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
+        """The gap as it is: paths go on beyond whole turns."""
+        return gap
+
+    def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
+        """None: the first point of a cycle is anywhere on it, and `invariants` tell where a branch closes."""
+        return ()
+
+    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
+        """Any step."""
+        return np.full(len(now.z), np.inf)
+
+    def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
+        """Cycles that have become ones of half the duration or equilibria, are far away, or close the branch."""
+        before, after = self.solution(now.z), self.solution(taken.z)
+        with np.errstate(invalid="ignore"):
+            far = np.abs(after.path.ends / self._problem.size).max(axis=(1, 2)) > _FARTHEST
+            collapsed = _collapses(self._problem, before, after)
+            closed = self._closes(before, after, core.norm(self.unit, taken.z - now.z))
+        return {COLLAPSED: collapsed, CLOSED: closed, UNBOUNDED: far}, collapsed
+
+    def _linear(self, solution: BoundarySolution) -> NewtonSystem:
+        lanes = len(solution.duration)
+        boundary = closure(self._problem, np.broadcast_to(self._lift, (lanes, len(self._lift))))
+        return linearise(self._problem, solution, boundary(solution, np.arange(lanes)))
+
+    def _closes(
+        self, before: BoundarySolution, after: BoundarySolution, step: Float[np.ndarray, " lanes"]
+    ) -> Bool[np.ndarray, " lanes"]:
+        """Return whether steps pass the first point."""
+        if len(self._passed) <= _LEAST_LOOP:
+            return np.zeros(len(step), bool)
+        begun, second = (invariants(self._problem, point.solution)[0] for point in self._passed[:2])
+        gone, come = (invariants(self._problem, part) - begun for part in (before, after))
+        passes = (gone @ (second - begun) < 0.0) & (come @ (second - begun) >= 0.0)
+        return passes & (np.linalg.norm(come, axis=1) <= 2.0 * step)
+
+    def _states(self, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:
+        count = self._ends[0] * self._ends[1]
+        return z[:, :count].reshape(-1, *self._ends), z[:, count:-2].reshape(-1, *self._stages)
+
+
+def point_at(
+    problem: Problem, solution: BoundarySolution, lift: Float[np.ndarray, " d"], along: Variation | None
+) -> CyclePoint:
+    """The point of a branch at a cycle, with the direction with a positive share of another one or the parameter."""
+    equations = CollocationEquations(problem, solution, lift)
+    found = core.correct(equations, equations.unknowns(solution), tolerance=np.inf)
+    [point] = equations.points(found)
+    share = point.way.extra[:, 1] if along is None else inner(solution.path, point.way, along)
+    return reversed_way(point) if share[0] < 0.0 else point
+
+
+def reversed_way(point: CyclePoint) -> CyclePoint:
+    """The point on the way back."""
+    return point._replace(way=combination([(-1.0, point.way)]))
+
+
+def remeshed_point(problem: Problem, point: CyclePoint, n: int) -> CyclePoint:
+    """The point with its direction on a mesh of n intervals adapted to it."""
+    mesh = adapted_mesh(point.solution.path, problem.size, n)
+    path = on_mesh(point.solution.path, mesh)
+    way = on_mesh(PiecewisePath(point.solution.path.mesh, *point.way[:2]), mesh)
+    variation = Variation(way.ends, way.stages, point.way.extra)
+    return point._replace(solution=point.solution._replace(path=path), way=variation)
+
+
+def invariants(problem: Problem, solution: BoundarySolution) -> Float[np.ndarray, "lanes k"]:
+    """Numbers that tell cycles apart, whatever point comes first: parameters, duration, and moments of states."""
+    path, weights = solution.path, solution.path.measure[..., None]
+    states = path.stages / problem.size
+    means = np.sum(weights * states, axis=(1, 2))
+    gaps = states - means[:, None, None]
+    spreads = np.sqrt(np.sum(weights * gaps**2, axis=(1, 2)))
+    skew = np.sum(weights * gaps**3, axis=(1, 2))
+    extra = [solution.values / problem.widths, np.log(solution.duration)[:, None]]
+    return np.concatenate([*extra, means, spreads, skew], axis=1)
+
+
+def _collapses(problem: Problem, now: BoundarySolution, taken: BoundarySolution) -> Bool[np.ndarray, " lanes"]:
+    """Return whether cycles have on the way become ones of half their duration, or equilibria.
+
+    Beyond that the branch has the same cycles again, half a turn on.
+    """
+    gaps = []
+    for solution in (now, taken):
+        grid = np.tile(np.arange(_SAMPLED) / _SAMPLED, (len(solution.duration), 1))
+        states = values_at(solution.path, grid) / problem.size
+        gaps.append(states - np.roll(states, _SAMPLED // 2, 1))
+    return np.sum(gaps[0] * gaps[1], axis=(1, 2)) <= 0.0
