@@ -41,7 +41,7 @@ from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.section import reports
 from jaxnh.systems.state import State, is_finite
 
-_TANGENTS = 3  # of most maps, for the expected work
+_DERIVATIVE = 7.0  # periods that one with three tangents takes as long as, for the expected work
 _SETTLING = 8  # part of the strobes that either sweep takes more
 _ROOM = 1 << 25  # numbers of frames and triangles in memory at once
 _BINS = 36
@@ -68,7 +68,7 @@ class Motions(NamedTuple):
 
 def periods(options: CovariantOptions, lanes: int) -> float:
     """Return the lane-periods of a run; a period with tangents costs one and about two more for each."""
-    return float(lanes * (options.transient + _points(options) * (2 + 2 * _TANGENTS)))
+    return float(lanes * (options.transient + _points(options) * (1.0 + _DERIVATIVE)))
 
 
 def check(options: CovariantOptions, setting: Setting) -> None:
@@ -105,8 +105,9 @@ def _motions(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> 
     d = u.shape[-1]
     each = {name: np.repeat(values, count) for name, values in p.items()}
     ones = np.ones(len(u) * count, np.int32)
-    matrices = lanes(derivatives, (strobe,), (ones, u.reshape(-1, d), each), tile=ORBIT_TILE).monodromy
-    matrices = np.asarray(matrices).reshape(*u.shape, d)
+    points = ones, u.reshape(-1, d), each
+    moved = lanes(derivatives, (strobe,), points, periods=_DERIVATIVE, tile=ORBIT_TILE)
+    matrices = np.asarray(moved.monodromy).reshape(*u.shape, d)
     sound = np.isfinite(matrices).all(axis=(1, 2, 3)) & is_finite(jax.tree.map(lambda leaf: leaf[:, -1], states))
     size = _sizes(u, np.array(batch.chart.angles), sound)
     matrices = matrices * (size[:, None, None, :] / size[:, None, :, None])
