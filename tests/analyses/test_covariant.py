@@ -45,6 +45,20 @@ def test_the_map_takes_vectors_to_each_other():
     assert np.log(lengths[:, 0]) == pytest.approx(vectors.growth[0, :-1], abs=1e-9)
 
 
+def test_contraction_that_rounding_hides():
+    """Maps that stretch by 2 and shrink by 1e-25 are of rank one in double precision; their volumes are not."""
+    draw = np.random.default_rng(7)
+    turns = np.linalg.qr(draw.normal(size=(2, 1, 300, 2, 2)))[0]
+    matrices = turns[0] @ np.diag([2.0, 1e-25]) @ turns[1]
+    growth = covariant_vectors(matrices, 100, 2).growth
+    assert np.mean(growth.sum(axis=2)) > np.log(2e-25) + 1.0
+    vectors = covariant_vectors(matrices, 100, 2, np.full((1, 300), 2e-25))
+    change = np.log(np.abs(np.linalg.det(vectors.coefficients)))  # of the area between the vectors, of length one
+    exact = np.log(2e-25) - np.diff(change, axis=1)
+    assert vectors.growth.sum(axis=2)[:, :-1] == pytest.approx(exact, abs=1e-9)
+    assert vectors.rounding.max() < 1e-6
+
+
 def test_angles_with_and_without_a_tangency():
     """Even angles down to zero are those of a tangency, and even ones down to a bound are not; of few nothing is said."""
     even = np.random.default_rng(5).uniform(0.0, 1.0, (200, 1, 2048))

@@ -69,14 +69,14 @@ def test_henons_map():
 
 @pytest.mark.slow
 def test_lorenzs_flow():
-    """On a section, and in time, where one exponent is zero: 0.90563, as published to five digits, and the divergence."""
+    """On a section: 0.9056 (Sprott 2003, and to 0.90563 by long runs), and the divergence without it."""
     starts = np.random.default_rng(43).uniform(0.5, 1.5, 100)
     largest, total = 0.90563, -(10.0 + 1.0 + 8.0 / 3.0)
     session = jaxnh.Session(lorenz.lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-8)
-    section = session.on(coordinate="z", value=27.0, direction="down")
-    options = jaxnh.Covariant(strobes=256, transient=64)
-    assert np.all(shares(section.run(options, x=starts), [largest, total - largest]) >= least(100))
-    assert np.all(shares(session.run(options, x=starts), [largest, 0.0, total - largest]) >= least(100))
+    session = session.on(coordinate="z", value=27.0, direction="down")
+    for strobes in (256, 1024):
+        data = session.run(jaxnh.Covariant(strobes=strobes, transient=64), x=starts)
+        assert np.all(shares(data, [largest, total - largest]) >= least(100))
 
 
 FLOWS = {
@@ -101,11 +101,9 @@ FLOWS = {
 def test_exponents_beside_lyapunov(name):
     """Within the sum of both bars: of the section without the exponent along the flow, which is zero."""
     config, parameter, values = FLOWS[name]
-    settings = [f"sweep={{{parameter}: {{values: {values}}}}}"]
-    settings.append("analyses={covariant: {}, lyapunov: {transient: 256, periods: 1024, exponents: 4}}")
-    groups = session_of(jaxnh.load(ROOT / "configs" / f"{config}.yaml", settings)).groups(
-        {"covariant": None, "lyapunov": None}
-    )
+    experiment = jaxnh.load(ROOT / "configs" / f"{config}.yaml", [f"sweep={{{parameter}: {{values: {values}}}}}"])
+    options = {"transient": 256, "periods": 1024, "exponents": experiment.flow().exponents}
+    groups = session_of(experiment).groups({"covariant": {}, "lyapunov": options})
     vectors, plain = groups["covariant"], groups["lyapunov"]
     ours, error = (vectors[key].to_numpy() for key in ("exponents", "exponents_error"))
     theirs, bar = (plain[key].to_numpy() for key in ("exponents", "exponents_error"))
