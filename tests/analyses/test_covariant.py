@@ -141,7 +141,7 @@ def test_lorenzs_tangencies_begin_at_31():
 
 
 def test_where_lorenzs_tangencies_begin():
-    """By DOP853 where the literature has it, at 31.01."""
+    """By DOP853 at 31.01, as is quoted of Creaser, Krauskopf and Osinga (SIAM J. Appl. Dyn. Syst. 16 (2017) 2127)."""
     assert lorenz.first_tangency() == pytest.approx(31.01, abs=5e-3)
 
 

@@ -39,7 +39,10 @@ def judge_splits(angles: Float[np.ndarray, "lanes splits points"]) -> Int8[np.nd
     lowest = np.partition(angles, (0, _TREND - 1), axis=-1)
     smallest, before = lowest[..., 0], lowest[..., _TREND - 1]
     stays = smallest > _FURTHER * (before - smallest)
-    conditions = [(count == 0) & stays & (expected >= _ENOUGH), (count >= _GOOD_PART * expected) & (expected >= _ENOUGH)]
+    conditions = [
+        (count == 0) & stays & (expected >= _ENOUGH),
+        (count >= _GOOD_PART * expected) & (expected >= _ENOUGH),
+    ]
     return np.select(conditions, [BOUNDED, TANGENT], UNDECIDED).astype(np.int8)
 
 
