@@ -80,7 +80,7 @@ def derivatives(
 def derivative_and_volume(
     strobe: ReturnMap, u: Float[Array, " d"], p: Parameters
 ) -> tuple[Float[Array, "d d"], Float[Array, ""]]:
-    """∂P/∂u, and the volume that the map makes of one: its determinant, which is known where rounding hides it there."""
+    """∂P/∂u, and the volume that the map makes of one: its determinant, known where rounding hides it in ∂P/∂u."""
     chart = strobe.chart
     tangents = tuple(Tangent(jax.jvp(chart.state, (u,), (e,))[1]) for e in jnp.eye(chart.dimension))
     pushed = strobe.pushforward(chart.state(u), p, tangents)

@@ -97,7 +97,7 @@ def _rounding(
     noise: Float[np.ndarray, "steps lanes"],
     known: Bool[np.ndarray, "steps lanes"],
 ) -> Float[np.ndarray, "steps lanes k"]:
-    """Return the errors of logarithms of diagonals by rounding; of the last one those of the others where it is known."""
+    """Return errors of logarithms of diagonals by rounding; of the last one those of the others where it is known."""
     sizes = np.abs(np.diagonal(triangles, axis1=2, axis2=3))
     least = _ROUNDINGS * _EPSILON * sizes.max(axis=2)
     rounding = np.minimum(np.maximum(least, noise)[:, :, None] / sizes, HIDDEN)
