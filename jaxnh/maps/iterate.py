@@ -77,6 +77,17 @@ def derivatives(
     return Derivatives(chart.point(state), jnp.stack(columns[:d], axis=-1), by_parameter)
 
 
+def derivative_and_volume(
+    strobe: ReturnMap, u: Float[Array, " d"], p: Parameters
+) -> tuple[Float[Array, "d d"], Float[Array, ""]]:
+    """∂P/∂u, and the volume that the map makes of one: its determinant, known where rounding hides it in ∂P/∂u."""
+    chart = strobe.chart
+    tangents = tuple(Tangent(jax.jvp(chart.state, (u,), (e,))[1]) for e in jnp.eye(chart.dimension))
+    pushed = strobe.pushforward(chart.state(u), p, tangents)
+    columns = [jnp.stack(chart.lower(pushed.state, t.state)) for t in pushed.tangents]
+    return jnp.stack(columns, axis=-1), jnp.abs(pushed.volume)
+
+
 def return_time(strobe: ReturnMap, u: Float[Array, " d"], p: Parameters) -> Float[Array, ""]:
     """Time from a point of a section to the next crossing, of one lane."""
     return strobe(strobe.chart.state(u), p).t

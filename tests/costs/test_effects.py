@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 
 import jax
@@ -10,14 +11,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import jaxnh
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.base import LANE
 from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
+from jaxnh.analyses.price import map_alone
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.analyses.trajectories import diagram, poincare
 from jaxnh.cli import pricing
+from jaxnh.costs import effects as costs_of_effects
 from jaxnh.costs.operations import count
 from jaxnh.engine.experiment import load
 from jaxnh.maps.build import make_return_map
@@ -279,6 +283,43 @@ def test_prices_are_of_real_programs():
     for start in ("fixed", "random", "up"):
         found = diagram.ANALYSIS.price(diagram.DiagramOptions(start=start), alone)
         assert found.with_it.function is not found.without_it.function
+
+
+def test_prices_of_covariant_edges_and_rotation(lanes):
+    """Derivatives of the map for the first two, none for the last; programs of others are the same with these beside."""
+    scene = batch_of(constant_speed(), START, np.linspace(5.2, 5.4, LANES), SPLITTING, 10)
+    alone = costs_of_effects._operations(map_alone(scene), lanes)
+    box = {"x1": (-1.0, 1.0)}
+    for name, options in (("covariant", {}), ("edges", {"box": box}), ("rotation", {})):
+        analysis = ANALYSES[name]
+        found = analysis.price(analysis.options(**options), scene)
+        with_it, without_it = (costs_of_effects._operations(p, lanes) for p in (found.with_it, found.without_it))
+        assert without_it == alone
+        more = (with_it - alone) / alone
+        assert more > 1.0 if name != "rotation" else 0.0 <= more < 0.01, name
+
+
+def two_wells(a=0.4):
+    return {"map": lambda y: ((1.0 + a) * y[0] - y[0] ** 3, 0.5 * y[1]), "coordinates": ("x", "y")}
+
+
+def test_programs_are_those_without_covariant_edges_and_rotation():
+    """What they need comes beside the programs that are compiled without them, and changes none of these."""
+    poincare = {"poincare": {"transient": 1, "strobes": 4}}
+    others = {
+        "covariant": {"transient": 1, "strobes": 256},
+        "rotation": {"transient": 1, "periods": 128},
+        "edges": {"box": {"x": (-1.0, 1.0)}, "n_starts": 4, "directions": 0, "pairs": 1},
+    }
+
+    def compiled(analyses):
+        """The instructions of all programs, without the lines of the source that they come from."""
+        session = jaxnh.Session(two_wells, start={"x": 0.3, "y": 0.1})
+        session.groups(analyses, a=[0.3, 0.4])
+        lines = (re.findall(r"^.* = .*$", text, re.MULTILINE) for text in session._lanes.programs.texts())
+        return {re.sub(r", metadata=\{[^}]*\}", "", "\n".join(of)) for of in lines}
+
+    assert compiled(poincare) < compiled(poincare | others)
 
 
 def test_page_is_of_the_scenes_that_are_priced():

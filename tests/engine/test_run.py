@@ -263,6 +263,29 @@ def test_dask_scheduler_killed(job, whole, by):
 # ---- ends in the middle
 
 
+FOLLOWED = """\
+system: {constraint: constant_speed}
+sweep: {b: {start: 5.2, stop: 5.6, count: 40}}
+accuracy: {solver: blanes_moan6, steps: 40}
+analyses:
+  covariant: {transient: 16, strobes: 256}
+  rotation: {transient: 16, periods: 128}
+"""
+
+
+def test_covariant_vectors_and_rotation_numbers_go_on(tmp_path):
+    """A run that finds half of its tiles there ends with the bits of one that was not stopped."""
+    small = Job(tmp_path, FOLLOWED, 10)
+    assert small.run_here()[0] == 0
+    undisturbed = content(small.output)
+    small.output.unlink()
+    assert small.run_here("--part", "1/2")[0] == 0
+    code, _, err = small.run_here()
+    assert code == 0, err
+    assert "2 of 4 tiles are done; going on" in err
+    assert content(small.output) == undisturbed
+
+
 @pytest.mark.slow
 def test_killed_then_resumed(job, whole):
     """Killed once tiles are there, which a later run goes on from, whatever was half done."""

@@ -31,17 +31,18 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.covariant.hyperbolicity import KINDS, SPLITS, judge, judge_splits
 from jaxnh.analyses.covariant.vectors import HIDDEN, CovariantVectors, covariant_vectors, smallest_angles
 from jaxnh.analyses.exponents.errors import Average, average_blocks
+from jaxnh.analyses.exponents.estimates import step_error
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import CovariantOptions
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
-from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.section_points import points_at
 from jaxnh.analyses.trajectories.states import check_transient, section_attrs, settle_lanes
-from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.iterate import derivative_and_volume
 from jaxnh.maps.section import reports
 from jaxnh.systems.state import State, is_finite
 
-_TANGENTS = 3  # of most maps, for the expected work
+_DERIVATIVE = 7.0  # periods that one with three tangents takes as long as, for the expected work
 _SETTLING = 8  # part of the strobes that either sweep takes more
 _ROOM = 1 << 25  # numbers of frames and triangles in memory at once
 _BINS = 36
@@ -57,18 +58,20 @@ class Motions(NamedTuple):
         states: after each return, (lanes, points).
         u: section coordinates, (lanes, points, d).
         matrices: derivatives of the map there, in sizes of the motion, (lanes, points, d, d).
+        volumes: moduli of their determinants, by the map itself, (lanes, points).
         sound: whether all of it is finite and no matrix is zero, (lanes,).
     """
 
     states: State
     u: Float[np.ndarray, "lanes points d"]
     matrices: Float[np.ndarray, "lanes points d d"]
+    volumes: Float[np.ndarray, "lanes points"]
     sound: Bool[np.ndarray, " lanes"]
 
 
 def periods(options: CovariantOptions, lanes: int) -> float:
     """Return the lane-periods of a run; a period with tangents costs one and about two more for each."""
-    return float(lanes * (options.transient + _points(options) * (2 + 2 * _TANGENTS)))
+    return float(lanes * (options.transient + _points(options) * (1.0 + _DERIVATIVE)))
 
 
 def check(options: CovariantOptions, setting: Setting) -> None:
@@ -104,15 +107,15 @@ def _motions(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> 
     u = points_at(batch, lanes, states, ORBIT_TILE)
     d = u.shape[-1]
     each = {name: np.repeat(values, count) for name, values in p.items()}
-    ones = np.ones(len(u) * count, np.int32)
-    matrices = lanes(derivatives, (strobe,), (ones, u.reshape(-1, d), each), tile=ORBIT_TILE).monodromy
-    matrices = np.asarray(matrices).reshape(*u.shape, d)
+    points = u.reshape(-1, d), each
+    moved = lanes(derivative_and_volume, (strobe,), points, periods=_DERIVATIVE, tile=ORBIT_TILE)
+    matrices, volumes = (np.array(leaf).reshape(*u.shape[:2], *leaf.shape[1:]) for leaf in moved)
     sound = np.isfinite(matrices).all(axis=(1, 2, 3)) & is_finite(jax.tree.map(lambda leaf: leaf[:, -1], states))
     size = _sizes(u, np.array(batch.chart.angles), sound)
     matrices = matrices * (size[:, None, None, :] / size[:, None, :, None])
     sound &= np.min(np.max(np.abs(matrices), axis=(2, 3)), axis=1) > 0.0
-    matrices[~sound] = np.eye(d)
-    return Motions(states, u, matrices, sound)
+    matrices[~sound], volumes[~sound] = np.eye(d), 1.0
+    return Motions(states, u, matrices, volumes, sound)
 
 
 def _sizes(
@@ -131,7 +134,8 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
     settling = options.strobes // _SETTLING
     neutral = int(batch.flow.autonomous and batch.flow is batch.system)
     k = batch.flow.exponents - int(batch.flow.autonomous) + neutral
-    vectors = covariant_vectors(motions.matrices, settling, k)
+    whole = k == motions.u.shape[2]  # with constraints volumes are those of other coordinates
+    vectors = covariant_vectors(motions.matrices, settling, k, motions.volumes if whole else None)
     angles = smallest_angles(vectors)
     each = _exponents(batch, motions, vectors, settling)
     hidden = np.all(vectors.rounding >= HIDDEN, axis=1)
@@ -186,6 +190,7 @@ def _exponents(batch: LaneBatch, motions: Motions, vectors: CovariantVectors, se
     # Vectors that turn, as on a focus, leave a sum that strays; and lengths in other units, of a factor e, one of 1.
     strayed = np.maximum(np.ptp(np.cumsum(missed, axis=1), axis=1), 1.0 / np.mean(time, axis=1)[:, None]) / count
     error = np.maximum(average_blocks(blocks).error, strayed) + np.sum(rounding, axis=1) / np.sum(time, axis=1)[:, None]
+    error += step_error(batch) / np.mean(time, axis=1)[:, None]
     rates[~motions.sound], error[~motions.sound] = np.nan, np.nan
     return Average(rates, error)
 
@@ -210,7 +215,11 @@ def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
 
 def price(options: CovariantOptions, batch: LaneBatch) -> Price:
     """Return the price of the derivative of the map at each point; both sweeps are linear algebra on the host."""
-    return newton_price(batch, ORBIT_TILE)
+    strobe = batch.map()
+    points = batch.chart.host_points(batch.start), dict(batch.p)
+    program = PricedProgram(derivative_and_volume, (strobe,), points, strobe.trip_counts, tile=ORBIT_TILE)
+    note = f"{batch.chart.dimension} tangents and the volume at every point"
+    return Price(program, map_alone(batch, tile=ORBIT_TILE), note)
 
 
 ANALYSIS = Analysis(

@@ -2,8 +2,10 @@
 
 Where stable and unstable subspaces are tangent somewhere on an attractor of a smooth map, motions come near the
 tangency, and their angles have a density that does not vanish at zero (Kuptsov, Phys. Rev. E 85 (2012) 015203). Below
-an eighth of the angle that one in twenty fall short of, an eighth of these are expected then. None at all, of many
-expected, bounds the angle away from zero; a good part of them is what a tangency leaves.
+an eighth of the angle that one in twenty fall short of, an eighth of these are expected then. A good part of them is
+what a tangency leaves. None at all, of many expected, bounds the angle away from zero, unless the smallest angle still
+falls with the length of the run: where a tangency is in a part of the attractor that motions seldom visit, as near
+the stable manifold of an equilibrium, few points are far below the others.
 """
 
 from __future__ import annotations
@@ -22,14 +24,25 @@ BOUNDED, TANGENT, UNDECIDED = range(len(SPLITS))
 _SHARE, _NEARER = 0.05, 8.0  # of the angles, below whose largest they are counted; how much nearer to zero
 _ENOUGH = 5.0  # expected angles: none of them is seen by chance once in 150 times
 _GOOD_PART = 0.25
+_TREND, _FURTHER = 16, 4  # the smallest angle beside that of so many times fewer points; times as far in ln(length)
 
 
 def judge_splits(angles: Float[np.ndarray, "lanes splits points"]) -> Int8[np.ndarray, "lanes splits"]:
-    """Return whether each angle is bounded away from zero, numbers in `SPLITS`."""
+    """Return whether each angle is bounded away from zero, numbers in `SPLITS`.
+
+    The smallest angle of so many times fewer points is about the 16th of all. If the smallest one goes on to fall as it
+    does from there, in proportion to the logarithm of the length, it is above zero in a run 16⁴ times as long.
+    """
     expected = _SHARE * angles.shape[-1] / _NEARER
     near = np.quantile(angles, _SHARE, axis=-1, keepdims=True) / _NEARER
     count = np.sum(angles < near, axis=-1)
-    conditions = [(count == 0) & (expected >= _ENOUGH), (count >= _GOOD_PART * expected) & (expected >= _ENOUGH)]
+    lowest = np.partition(angles, (0, _TREND - 1), axis=-1)
+    smallest, before = lowest[..., 0], lowest[..., _TREND - 1]
+    stays = smallest > _FURTHER * (before - smallest)
+    conditions = [
+        (count == 0) & stays & (expected >= _ENOUGH),
+        (count >= _GOOD_PART * expected) & (expected >= _ENOUGH),
+    ]
     return np.select(conditions, [BOUNDED, TANGENT], UNDECIDED).astype(np.int8)
 
 
