@@ -24,6 +24,7 @@ from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.first_order import PointFlow
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian
+from jaxnh.systems.level import off_level
 from jaxnh.systems.state import Number, State, Vector, error_components
 from jaxnh.systems.user_functions import components_of, pointwise
 
@@ -153,7 +154,7 @@ def _filled(image: Vector, like: Any) -> Vector:
 
 def probe(flow: Flow, reversal: Reversal, u: Array, t: Number, p: Parameters) -> Probe:
     """Return both sides of the identities at section coordinates u (d,) and a time, brought to the constraints."""
-    signs, instant = reversal
+    flow, (signs, instant) = off_level(flow), reversal
 
     def image_of(y: State) -> State:
         return reverse(flow, signs, y, p)
