@@ -281,7 +281,7 @@ def test_symmetric_orbits_of_the_particle():
     line, x1 = y1 = 0. The one that is left of three multipliers is one.
     """
     session, par = jaxnh.Session(jaxnh.disturbed_speed(d=0.1), target=1e-8), TaylorParameters(d=0.1)
-    data = session.run(jaxnh.Reversal(transient=1, strobes=64, periods=16, max_period=2), b=[5.3, 5.5])
+    data = session.run(jaxnh.Reversal(transient=1, strobes=64, periods=16, max_period=2), b=[0.2, 0.28])
     assert data.attrs["orbit_reversal"].startswith("x1 -> -x1, y1 -> -y1, velocities opposite, t -> 3.14159")
     known = np.argwhere(data["orbit_period"].to_numpy() > 0)
     assert len(known) > 0
