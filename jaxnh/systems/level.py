@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.lagrangian import Lagrangian
+
+AnyFlow = TypeVar("AnyFlow", bound=Flow)
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,11 @@ class _WithLevel:
         return self.define(**{name: value for name, value in parameters.items() if name != self.name})
 
 
-def on_level(flow: Flow, levels: Mapping[str, ArrayLike], swept: Collection[str] = ()) -> Flow:
-    """Return a system on the level of an integral, by name, which lanes have of their own where it is swept."""
+def on_level(flow: AnyFlow, levels: Mapping[str, ArrayLike], swept: Collection[str] = ()) -> AnyFlow:
+    """Return a system of mechanics on the level of an integral, by name, which lanes have of their own if it is swept.
+
+    Without levels it is returned as it is, and may be any.
+    """
     for name, value in levels.items():
         assert isinstance(flow, Lagrangian)
         own = flow.of_lanes if flow.of_lanes is None or name not in swept else (*flow.of_lanes, name)
@@ -44,6 +49,6 @@ def on_level(flow: Flow, levels: Mapping[str, ArrayLike], swept: Collection[str]
     return flow
 
 
-def off_level(flow: Flow) -> Flow:
+def off_level(flow: AnyFlow) -> AnyFlow:
     """Return a system on no level, whose states are any."""
     return replace(flow, level=None) if isinstance(flow, Lagrangian) and flow.level else flow

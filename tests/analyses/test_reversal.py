@@ -25,6 +25,7 @@ from tests.flows.paper_equations import at_speed
 from tests.helpers.batches import batch_of
 from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
+from tests.helpers.paths import ROOT
 from tests.helpers.taylor import REAL, integrator
 from tests.helpers.taylor import Parameters as TaylorParameters
 
@@ -186,6 +187,29 @@ def test_quasi_velocities_have_signs_of_their_own():
     assert data.attrs["reversal"] == "w -> -w, t -> -t"
     assert kinds(data) == ["conservative", "irreversible"]
     assert abs(float(data["exponent_sum"][1]) + 0.4) <= float(data["exponent_sum_error"][1])
+
+
+@pytest.mark.slow
+def test_suslov_s_top_between_conservative_and_dissipative():
+    """As its abstract says, by the energy (Bizyaev, Borisov and Kazakov 2015): a torus is its own image, a cycle is not.
+
+    On a level of the energy there are three exponents. The reversal turns the angular velocity around.
+    """
+    made = jaxnh.load(ROOT / "configs/nonholonomic/suslov.yaml", SUSLOV)
+    data = session_of(made).groups({"reversal": None})["reversal"]
+    assert data.attrs["reversal"] == "w1 -> -w1, w2 -> -w2, t -> -t"
+    assert kinds(data) == ["conservative", "dissipative"]
+    assert data["exponents"].shape == (2, 3)
+    gap = np.abs(data["exponents"] + data["repeller_exponents"])
+    assert np.all(gap <= data["exponents_error"] + data["repeller_exponents_error"])
+
+
+SUSLOV = [
+    "sweep.energy={values: [-0.7, 0.2]}",
+    "section.direction=both",
+    "accuracy.target=1.0e-8",
+    "analyses={reversal: {transient: 1024, strobes: 1024, periods: 2048}}",
+]
 
 
 # ---- symmetric periodic orbits

@@ -96,9 +96,9 @@ def check(options: ReversalOptions, setting: Setting) -> None:
         raise OptionError("motions with jumps or switches are not followed backwards")
     if options.max_period and len(setting.axes) > 1:
         raise OptionError("symmetric orbits are looked for along one axis of a sweep", "max_period")
-    if options.max_period and any(axis.kind == "shared" for axis in setting.axes):
-        message = f"symmetric orbits are of one clock, which {setting.axes[0].name} changes{setting.advice}"
-        raise OptionError(message, "max_period")
+    shared = [axis.name for axis in setting.axes if axis.kind == "shared"]
+    if options.max_period and shared:
+        raise OptionError(f"symmetric orbits are of one clock, which {shared[0]} changes{setting.advice}", "max_period")
 
 
 def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:

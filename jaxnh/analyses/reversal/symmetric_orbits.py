@@ -183,6 +183,7 @@ def _missing_unknowns(batch: LaneBatch, reversal: Reversal) -> int | None:
     p = {name: values[0] for name, values in batch.p.items()}
     slopes = jax.jit(jax.vmap(lambda u: _with_slope(batch.system, reversal.signs, u, p, None)))
     u = np.random.default_rng(0).uniform(-1.0, 1.0, (_SAMPLES, d))
+    missing, slope = np.full(u.shape, np.inf), np.zeros((_SAMPLES, d, d))
     for _ in range(_STEPS):
         image, slope = map(np.asarray, slopes(u))
         missing = wrap(image - u)
