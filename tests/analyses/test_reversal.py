@@ -252,6 +252,25 @@ def test_symmetric_orbits_of_the_standard_map():
         assert max(orbit.residual for orbit in orbits) < 1e-9
 
 
+def rotation(b=2.0):
+    """θ → θ + b, which θ → −θ takes to its inverse; it keeps two points, one unknown fewer than half of the dimension."""
+    return {"map": lambda y: (y[0] + b,), "coordinates": ("angle",), "angles": ("angle",)}
+
+
+def test_symmetric_orbits_at_isolated_values_of_a_parameter():
+    """Orbits of two returns at b = π, of three at 2π/3, each in the lane of the nearest b; the multiplier is one."""
+    flow = discrete_map(rotation, {"b": 2.0})
+    batch = batch_of(flow, flow.start({"angle": 0.3}), np.array([1.0, 2.0, 3.0]), tsit5, 1, name="b")
+    symmetry = Symmetry(Reversal((-1.0,), 0.0), "b")
+    strobes = batch.map(), batch.map()
+    ours = symmetric_orbits(batch, lanes_with_kept_programs(), symmetry, strobes, np.full((3, 1), np.pi), 3)
+    assert [{len(orbit.points) for orbit in orbits} for orbits in ours] == [set(), {3}, {2}]
+    for orbit in (orbit for orbits in ours for orbit in orbits):
+        assert abs(orbit.value - TURN / len(orbit.points)) <= orbit.value_error + 1e-12
+        assert orbit.value_error < 1e-9
+        assert orbit.multipliers == pytest.approx([1.0], abs=1e-9)
+
+
 def hill(drive, at):
     """The trace of a period of the driven pendulum's linear equation at rest, by DOP853."""
 
@@ -298,6 +317,7 @@ def symmetric_by_heyoka(par, b, angle, instant, n):
     return b, angle, np.linalg.eigvals(from_origin(par, b, angle, instant, n * TURN)[1][:, :3].astype(float))
 
 
+@pytest.mark.slow
 def test_symmetric_orbits_of_the_particle():
     """They are at isolated b, and pass x1 = y1 = 0 when the forcing is largest or least, or both: heyoka has the same b.
 
