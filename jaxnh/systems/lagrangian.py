@@ -44,6 +44,7 @@ from jaxnh.systems.user_text import states_of
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _NEWTON_STEPS = 2  # to a level that a step has left by its error: the first squares that
+_LARGEST_FACTOR = 1e-2  # less one: a step's error is smaller, but for a body that is all but at rest
 _APPROACHES = 12  # projections from a random state to one on f = 0
 _NEARLY_LOST = 0.01  # of the smallest singular value of df/dv on a motion: steps do not follow what turns there
 
@@ -215,8 +216,11 @@ class Lagrangian(DefinedFlow):
                 moved[i] = q[i] * inverse
         return tuple(moved)
 
-    def _on_level(self, t: ArrayLike, q: Vector, v: Vector, p: Parameters) -> Vector:
-        """Velocities by as many times theirs as brings them to the level: Newton on the factor, from one."""
+    def _on_level(self, t: ArrayLike, q: Vector, v: Vector, p: Parameters, most: float) -> Vector:
+        """Velocities by as many times theirs as brings them to the level: Newton on the factor, from one.
+
+        It changes by no more than `most` a step; where it would, as all but at rest, by nothing.
+        """
         name = self.level
         if name is None:
             return v
@@ -227,7 +231,8 @@ class Lagrangian(DefinedFlow):
 
         for _ in range(_NEWTON_STEPS):
             left, slope = jax.jvp(excess, (factor,), (jnp.ones_like(factor),))
-            factor = factor - jnp.where(slope == 0.0, 0.0, left / jnp.where(slope == 0.0, 1.0, slope))
+            known = (slope != 0.0) & (jnp.abs(left) <= most * jnp.abs(slope))
+            factor = factor - jnp.where(known, left / jnp.where(known, slope, 1.0), 0.0)
         return tuple(factor * x for x in v)
 
     def project(self, t: ArrayLike, y: Motion, p: Parameters, *, trust: bool = True) -> Motion:
@@ -240,7 +245,7 @@ class Lagrangian(DefinedFlow):
         for residual in self._norm_residuals(q):
             drift = jnp.maximum(drift, jnp.abs(residual))
         q = self._normalised(q)
-        v = self._on_level(t, q, v, p)
+        v = self._on_level(t, q, v, p, _LARGEST_FACTOR if trust else jnp.inf)
         finite = jnp.isfinite(sum(x * x for x in (*q, *v)))
         singular = jnp.isnan(reason)
         off = ~finite
