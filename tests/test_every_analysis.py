@@ -776,7 +776,7 @@ KINDS = {
             "curves": ONE_PARAMETER.format("damping"),
             "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
-            "reversal": "no reversal is known of quasi-velocities",
+            "reversal": NO_REVERSAL,
             "orbits": orbit_numbers(lambda values: (1, 0 * values["damping"])),
             "covariant": exponents(lambda values: (-values["damping"], -values["damping"])),
             "transients": nothing_leaves,

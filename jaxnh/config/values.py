@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 Content = Mapping[str, Any]
 """A config as mappings, sequences, numbers and text."""
 
@@ -39,3 +42,16 @@ def with_values(
         new = {"level": {**(given.get("level") or {}), name: value}} if name in integrals else {name: value}
         changed[block] = {**given, **new}
     return changed
+
+
+def grid_of(values: ArrayLike) -> dict[str, Any]:
+    """Return values of an axis as a config has them; anything else as it is, for the config to refuse."""
+    try:
+        given = np.atleast_1d(np.asarray(values, float))
+    except (TypeError, ValueError):
+        return {"values": values}
+    if given.ndim == 1 and len(given) > 2 and np.isfinite(given).all() and given[0] != given[-1]:
+        grid = {"start": float(given[0]), "stop": float(given[-1]), "count": len(given)}
+        if np.array_equal(given, np.linspace(*grid.values())):
+            return grid
+    return {"values": given.tolist()}

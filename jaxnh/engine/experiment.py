@@ -26,7 +26,7 @@ from jaxnh.config.config import Config, UserConfig, config_of, load_config
 from jaxnh.config.messages import fault_of_rule
 from jaxnh.config.particle import PoincareSection
 from jaxnh.config.user_system import UserSection
-from jaxnh.config.values import without_values
+from jaxnh.config.values import grid_of, without_values
 from jaxnh.config.yaml_source import from_dict, from_text
 from jaxnh.engine.clocks import decides_clock, scales_time
 from jaxnh.engine.fitting import check_analysis, check_events, check_levels
@@ -34,6 +34,8 @@ from jaxnh.engine.flows import particle_flow, section_of
 from jaxnh.engine.start_states import admit_starts, check_starts
 from jaxnh.maps.section import System, begin
 from jaxnh.systems.flow import Flow
+from jaxnh.systems.lagrangian import Lagrangian
+from jaxnh.systems.level import on_level
 from jaxnh.systems.state import State
 from jaxnh.systems.user_file import UserFile, UserFlow
 
@@ -133,7 +135,7 @@ class Experiment(Config):
             ConfigError: one line, `experiment: KEY: what is wrong`.
         """
         content = {"initial": {}, **without_values(self._data("compare", "explore", "levels"), axes)}
-        grids = {name: _grid(values) for name, values in axes.items()}
+        grids = {name: grid_of(values) for name, values in axes.items()}
         filler = self._filler if not grids else ""
         own = {name: grid for name, grid in content["sweep"].items() if filler or name != self._filler}
         if self._filler and not filler and self._filler not in grids:  # no axis any more, and still what it was
@@ -317,8 +319,16 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
         super()._try_out()
 
     def _flow(self, parameters: Mapping[str, float]) -> UserFlow:
-        values = {**self._own_parameters(), **parameters}
-        return self._file.flow(values, tuple(parameters), in_periods=self._in_periods)
+        given = {**(self.initial.level or {}), **parameters}
+        levels = {name: given[name] for name in self._levels if name in given}
+        swept = {name: value for name, value in parameters.items() if name not in levels}
+        flow = self._file.flow({**self._own_parameters(), **swept}, tuple(swept), in_periods=self._in_periods)
+        return on_level(flow, levels, parameters)
+
+    @functools.cached_property
+    def _levels(self) -> tuple[str, ...]:
+        """Integrals on whose levels motions are kept; where constraints come and go starts alone are put there."""
+        return self._file.integrals if isinstance(self._file.flow(self._own_parameters()), Lagrangian) else ()
 
     @functools.cached_property
     def _in_periods(self) -> bool:
@@ -333,17 +343,19 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
 
     def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Return whether the strobe period depends on a parameter, and time is not over the period."""
-        return not self._in_periods and decides_clock(self._file, flow, name, values)
+        known = self._in_periods or name in self._levels
+        return not known and decides_clock(self._file, flow, name, values)
 
     def _admit_starts(
         self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]], given: Mapping[str, Any]
     ) -> State:
-        levels = {name: given[name] for name in self._file.integrals if name in given}
+        every = {**given, **own}
+        levels = {name: every[name] for name in self._file.integrals if name in every}
         return admit_starts(flow, start, own, levels, project=self.initial.project)
 
     @property
     def _of_starts(self) -> tuple[str, ...]:
-        return (*self.initial.known, *self._file.integrals)
+        return (*self.initial.known, *(name for name in self._file.integrals if name not in self._levels))
 
     def _default_section(self) -> UserSection:
         return UserSection.model_validate({"coordinate": self._file.coordinates[0]}, context=self._file.names)
@@ -364,19 +376,6 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
 
     def _parameters(self) -> dict[str, Any]:
         return {"file": self.system.file, **self._own_parameters(), **self.initial.coordinates()}
-
-
-def _grid(values: ArrayLike) -> dict[str, Any]:
-    """Values of an axis as a config has them; anything else is left as it is, for the config to refuse."""
-    try:
-        given = np.atleast_1d(np.asarray(values, float))
-    except (TypeError, ValueError):
-        return {"values": values}
-    if given.ndim == 1 and len(given) > 2 and np.isfinite(given).all() and given[0] != given[-1]:
-        grid = {"start": float(given[0]), "stop": float(given[-1]), "count": len(given)}
-        if np.array_equal(given, np.linspace(*grid.values())):
-            return grid
-    return {"values": given.tolist()}
 
 
 def _plain_options(options: Options | Mapping[str, Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from jaxnh.config.messages import join_words
 from jaxnh.config.user_system import UserInitial, UserSweep
 from jaxnh.systems.flow import STATUS, Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion
+from jaxnh.systems.level import off_level
 from jaxnh.systems.state import State
 from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
@@ -47,8 +48,8 @@ def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: 
     levels = {name: given[name] for name in integrals if name in given}
     if len(levels) > 1:
         raise rule("velocities are scaled to the level of one integral; leave out the others", "initial.level", "sweep")
-    if isinstance(flow, SwitchedMechanics):  # a constraint that comes and goes begins where a start is off it
-        flow = flow.mechanics
+    # A constraint that comes and goes begins where a start is off it.
+    flow = flow.mechanics if isinstance(flow, SwitchedMechanics) else off_level(flow)
     if not isinstance(flow, Lagrangian) or not (flow.constrained or levels):
         if initial.project:
             raise rule("the system has no constraints; leave it out", "initial.project")
@@ -110,6 +111,7 @@ def admit_starts(flow: Flow, start: State, p: Parameters, levels: Mapping[str, n
     if isinstance(flow, SwitchedMechanics):
         motion = admit_starts(flow.mechanics, flow.as_motion(start), p, levels, project=project)
         return flow.from_motion(motion)
+    flow = off_level(flow)
     if not isinstance(flow, Lagrangian) or not (flow.constrained or levels):
         return start
     if project and flow.constrained:

@@ -43,6 +43,8 @@ from jaxnh.systems.tracing import cached_by_structure
 from jaxnh.systems.user_text import states_of
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
+_NEWTON_STEPS = 2  # to a level that a step has left by its error: the first squares that
+_LARGEST_FACTOR = 1e-2  # less one: a step's error is smaller, but for a body that is all but at rest
 _APPROACHES = 12  # projections from a random state to one on f = 0
 _NEARLY_LOST = 0.01  # of the smallest singular value of df/dv on a motion: steps do not follow what turns there
 
@@ -80,11 +82,13 @@ class Lagrangian(DefinedFlow):
         constraints: number m of constraints that a state can leave.
         ignorable: for each coordinate, whether nothing depends on it: such are left out of the section.
         quasi: quasi-velocities, where these are the velocities; None where they are q̇.
+        level: integral on whose level states are kept, the value of which is a parameter by this name; None: on none.
     """
 
     constraints: int = eqx.field(static=True)
     ignorable: tuple[bool, ...] = eqx.field(static=True)
     quasi: QuasiVelocities | None = eqx.field(static=True, default=None)
+    level: str | None = eqx.field(static=True, default=None)
 
     # ---- names
 
@@ -192,8 +196,8 @@ class Lagrangian(DefinedFlow):
 
     @property
     def constrained(self) -> bool:
-        """Return whether a state can be off its constraints, or its norms."""
-        return bool(self.constraints or self.norms)
+        """Return whether a state can be off its constraints, its norms or its level."""
+        return bool(self.constraints or self.norms or self.level)
 
     @property
     def norms(self) -> tuple[tuple[int, ...], ...]:
@@ -212,6 +216,25 @@ class Lagrangian(DefinedFlow):
                 moved[i] = q[i] * inverse
         return tuple(moved)
 
+    def _on_level(self, t: ArrayLike, q: Vector, v: Vector, p: Parameters, most: float) -> Vector:
+        """Velocities by as many times theirs as brings them to the level: Newton on the factor, from one.
+
+        It changes by no more than `most` a step; where it would, as all but at rest, by nothing.
+        """
+        name = self.level
+        if name is None:
+            return v
+        level, factor = p.get(name, self.values[name]), jnp.ones_like(q[0])
+
+        def excess(factor: Number) -> Number:
+            return self.integral(name, t, Motion(q, tuple(factor * x for x in v), ()), p) - level
+
+        for _ in range(_NEWTON_STEPS):
+            left, slope = jax.jvp(excess, (factor,), (jnp.ones_like(factor),))
+            known = (slope != 0.0) & (jnp.abs(left) <= most * jnp.abs(slope))
+            factor = factor - jnp.where(known, left / jnp.where(known, slope, 1.0), 0.0)
+        return tuple(factor * x for x in v)
+
     def project(self, t: ArrayLike, y: Motion, p: Parameters, *, trust: bool = True) -> Motion:
         """The state brought back to f = 0 along M⁻¹ Aᵀ, or marked as failed: not a number from there on.
 
@@ -222,6 +245,7 @@ class Lagrangian(DefinedFlow):
         for residual in self._norm_residuals(q):
             drift = jnp.maximum(drift, jnp.abs(residual))
         q = self._normalised(q)
+        v = self._on_level(t, q, v, p, _LARGEST_FACTOR if trust else jnp.inf)
         finite = jnp.isfinite(sum(x * x for x in (*q, *v)))
         singular = jnp.isnan(reason)
         off = ~finite
@@ -241,9 +265,9 @@ class Lagrangian(DefinedFlow):
 
     @property
     def exponents(self) -> int:
-        """Lyapunov exponents of motions that keep the constraints."""
+        """Lyapunov exponents of motions that keep the constraints, and where there is one the level."""
         norms = [group for group in self.norms if not all(self.ignorable[i] for i in group)]
-        return self.chart.dimension - self.constraints - len(norms)
+        return self.chart.dimension - self.constraints - len(norms) - (self.level is not None)
 
     @property
     def chart(self) -> MotionChart:

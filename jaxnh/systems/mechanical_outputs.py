@@ -28,7 +28,8 @@ def output_names(flow: Flow) -> dict[str, tuple[str, ...]]:
     if not isinstance(flow, Lagrangian | SwitchedMechanics):
         return {}
     definition = flow.definition({})
-    energies = (*_ENERGY, *definition.get("integrals", ()))
+    swept = flow.level if isinstance(flow, Lagrangian) and flow.level in flow.lane_parameters else None
+    energies = (*_ENERGY, *(name for name in definition.get("integrals", ()) if name != swept))
     names = (*energies, *(f"{name}{_RATE}" for name in energies), "power", *definition.get("outputs", ()))
     outputs: dict[str, tuple[str, ...]] = {name: (name,) for name in names}
     count = _constraint_count(flow)

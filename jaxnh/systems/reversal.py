@@ -3,7 +3,7 @@
 A flow ẏ = f(y, t) is reversible under R where DR f(y, t) = −f(R y, t0 − t) (Roberts and Quispel, Phys. Rep. 216
 (1992) 63). A system says R as signs of its coordinates, {"x": -1.0, "time": t0}, as a function of the state, or as a
 pair of the function and t0. Of mechanics signs and functions are those of positions: velocities follow, with the
-opposite sign.
+opposite sign. Quasi-velocities have signs of their own, as they may be of either kind.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.first_order import PointFlow
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.lagrangian import Lagrangian
+from jaxnh.systems.level import off_level
 from jaxnh.systems.state import Number, State, Vector, error_components
 from jaxnh.systems.user_functions import components_of, pointwise
 
@@ -38,7 +40,8 @@ class Reversal(NamedTuple):
     """An involution of state and time.
 
     Attributes:
-        signs: of the coordinates, of mechanics of the positions; None where the system's own function says the image.
+        signs: of the coordinates, or where velocities follow from them of positions; None where the system's own
+            function says the image.
         instant: t0, in the units of t; 0 without a clock.
     """
 
@@ -66,14 +69,19 @@ class Probe(NamedTuple):
     strayed: Array
 
 
-def position_names(flow: Flow) -> tuple[str, ...]:
-    """Names of the coordinates that signs are given for: of mechanics those of positions."""
-    return flow.coordinates if isinstance(flow, PointFlow) else flow.coordinates[::2]
+def _maps_all(flow: Flow) -> bool:
+    """Return whether signs and images are those of all coordinates, and not of positions whose velocities follow."""
+    return isinstance(flow, PointFlow) or (isinstance(flow, Lagrangian) and flow.quasi is not None)
+
+
+def signed_names(flow: Flow) -> tuple[str, ...]:
+    """Names of the coordinates that signs are given for: where velocities follow from them those of positions."""
+    return flow.coordinates if _maps_all(flow) else flow.coordinates[::2]
 
 
 def _component_names(flow: Flow) -> tuple[str, ...]:
     """Names of the components of a state, in their order."""
-    return flow.coordinates if isinstance(flow, PointFlow) else (*flow.coordinates[::2], *flow.coordinates[1::2])
+    return flow.coordinates if _maps_all(flow) else (*flow.coordinates[::2], *flow.coordinates[1::2])
 
 
 def declared_reversal(flow: Flow) -> Reversal | None:
@@ -97,7 +105,7 @@ def declared_reversal(flow: Flow) -> Reversal | None:
 
 
 def _reversal_of_signs(flow: Flow, said: Mapping[str, Any]) -> Reversal:
-    names = position_names(flow)
+    names = signed_names(flow)
     for name, sign in said.items():
         if name == "time":
             continue
@@ -122,7 +130,7 @@ def reverse(flow: Flow, signs: Vector | None, y: State, p: Parameters) -> State:
     image = _signed(signs) if signs is not None else _image_of(flow, p)
     parts = jax.tree.leaves(error_components(y))
     others = jax.tree.leaves(y)[len(parts) :]
-    if isinstance(flow, PointFlow):
+    if _maps_all(flow):
         made = _filled(image(tuple(parts)), parts)
     else:
         q, v = tuple(parts[: len(parts) // 2]), tuple(parts[len(parts) // 2 :])
@@ -146,7 +154,7 @@ def _filled(image: Vector, like: Any) -> Vector:
 
 def probe(flow: Flow, reversal: Reversal, u: Array, t: Number, p: Parameters) -> Probe:
     """Return both sides of the identities at section coordinates u (d,) and a time, brought to the constraints."""
-    signs, instant = reversal
+    flow, (signs, instant) = off_level(flow), reversal
 
     def image_of(y: State) -> State:
         return reverse(flow, signs, y, p)
@@ -200,7 +208,7 @@ def sign_changes(flow: Flow) -> Reversal | None:
 
     Instants without a clock are zero alone, with one the multiples of an eighth of the period.
     """
-    names = position_names(flow)
+    names = signed_names(flow)
     if len(names) > _MOST_SIGNS:
         return None
     parts = 1 if flow.autonomous else _INSTANTS
@@ -215,8 +223,8 @@ def describe_reversal(flow: Flow, reversal: Reversal) -> str:
     time = "-t" if not reversal.instant else f"{float(reversal.instant):.6g} - t"
     if reversal.signs is None:
         return f"the image that the system says, t -> {time}"
-    names = [name for name, sign in zip(position_names(flow), reversal.signs, strict=True) if sign < 0]
-    velocities = [] if isinstance(flow, PointFlow) else ["velocities opposite"]
+    names = [name for name, sign in zip(signed_names(flow), reversal.signs, strict=True) if sign < 0]
+    velocities = [] if _maps_all(flow) else ["velocities opposite"]
     moved = [*(f"{name} -> -{name}" for name in names), *velocities]
     return ", ".join([*moved, f"t -> {time}"])
 

@@ -13,17 +13,21 @@ import jaxnh
 from jaxnh.analyses.intervals import binomial_interval
 from jaxnh.analyses.reversal import reversal as rules
 from jaxnh.analyses.reversal.sets import compare_sets
-from jaxnh.analyses.reversal.symmetric_orbits import symmetric_orbits
+from jaxnh.analyses.reversal.symmetric_orbits import Symmetry, symmetric_orbits
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError
 from jaxnh.solvers import tsit5
 from jaxnh.systems.discrete_map import discrete_map
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.reversal import Reversal
+from tests.flows.constrained_oscillators import NEEDLE
 from tests.flows.paper_equations import at_speed
 from tests.helpers.batches import batch_of
 from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
+from tests.helpers.paths import ROOT
+from tests.helpers.taylor import REAL, integrator
+from tests.helpers.taylor import Parameters as TaylorParameters
 
 TURN = 2 * np.pi
 
@@ -173,6 +177,41 @@ def test_on_a_section_of_henon_and_heiles():
     assert abs(float(data["exponent_sum"][1]) + 0.1) <= float(data["exponent_sum_error"][1])
 
 
+def test_quasi_velocities_have_signs_of_their_own():
+    """A needle in a field that shakes, its angle by cosine and sine: w -> -w, t -> -t, but for friction."""
+    config = (
+        "system: {file: own.py}\ninitial: {c: 0.8, s: 0.6, w: 0.1}\nsweep: {damping: {values: [0.0, 0.2]}}\n"
+        "accuracy: {target: 1.0e-7}\nanalyses: {reversal: {transient: 16, strobes: 1024, periods: 128}}"
+    )
+    data = session_of(Experiment.from_text(config, NEEDLE)).groups({"reversal": None})["reversal"]
+    assert data.attrs["reversal"] == "w -> -w, t -> -t"
+    assert kinds(data) == ["conservative", "irreversible"]
+    assert abs(float(data["exponent_sum"][1]) + 0.4) <= float(data["exponent_sum_error"][1])
+
+
+@pytest.mark.slow
+def test_suslov_s_top_between_conservative_and_dissipative():
+    """As its abstract says, by the energy (Bizyaev, Borisov and Kazakov 2015): a torus is its own image, a cycle is not.
+
+    On a level of the energy there are three exponents. The reversal turns the angular velocity around.
+    """
+    made = jaxnh.load(ROOT / "configs/nonholonomic/suslov.yaml", SUSLOV)
+    data = session_of(made).groups({"reversal": None})["reversal"]
+    assert data.attrs["reversal"] == "w1 -> -w1, w2 -> -w2, t -> -t"
+    assert kinds(data) == ["conservative", "dissipative"]
+    assert data["exponents"].shape == (2, 3)
+    gap = np.abs(data["exponents"] + data["repeller_exponents"])
+    assert np.all(gap <= data["exponents_error"] + data["repeller_exponents_error"])
+
+
+SUSLOV = [
+    "sweep.energy={values: [-0.7, 0.2]}",
+    "section.direction=both",
+    "accuracy.target=1.0e-8",
+    "analyses={reversal: {transient: 1024, strobes: 1024, periods: 2048}}",
+]
+
+
 # ---- symmetric periodic orbits
 
 
@@ -200,7 +239,8 @@ def test_symmetric_orbits_of_the_standard_map():
     flow = discrete_map(standard, {"k": 0.8})
     batch = batch_of(flow, flow.start({"angle": 0.3, "momentum": 0.2}), values, tsit5, 1, name="k")
     runner, size = lanes_with_kept_programs(), np.full((2, 2), np.pi)
-    ours = symmetric_orbits(batch, runner, Reversal(None, 0.0), batch.map(), size, 3)
+    symmetry = Symmetry(Reversal(None, 0.0), None)
+    ours = symmetric_orbits(batch, runner, symmetry, (batch.map(), batch.map(2)), size, 3)
     for k, orbits in zip(values, ours, strict=True):
         of_each = [[orbit.multipliers.sum().real for orbit in orbits if len(orbit.points) == n] for n in (1, 2, 3)]
         fixed, two, three = map(sorted, of_each)
@@ -210,6 +250,25 @@ def test_symmetric_orbits_of_the_standard_map():
         assert three[::2] == pytest.approx(three[1::2], abs=1e-9)
         assert max(orbit.pairing for orbit in orbits) < 1e-9
         assert max(orbit.residual for orbit in orbits) < 1e-9
+
+
+def rotation(b=2.0):
+    """θ → θ + b, which θ → −θ takes to its inverse; it keeps two points, one unknown fewer than half of the dimension."""
+    return {"map": lambda y: (y[0] + b,), "coordinates": ("angle",), "angles": ("angle",)}
+
+
+def test_symmetric_orbits_at_isolated_values_of_a_parameter():
+    """Orbits of two returns at b = π, of three at 2π/3, each in the lane of the nearest b; the multiplier is one."""
+    flow = discrete_map(rotation, {"b": 2.0})
+    batch = batch_of(flow, flow.start({"angle": 0.3}), np.array([1.0, 2.0, 3.0]), tsit5, 1, name="b")
+    symmetry = Symmetry(Reversal((-1.0,), 0.0), "b")
+    strobes = batch.map(), batch.map()
+    ours = symmetric_orbits(batch, lanes_with_kept_programs(), symmetry, strobes, np.full((3, 1), np.pi), 3)
+    assert [{len(orbit.points) for orbit in orbits} for orbits in ours] == [set(), {3}, {2}]
+    for orbit in (orbit for orbits in ours for orbit in orbits):
+        assert abs(orbit.value - TURN / len(orbit.points)) <= orbit.value_error + 1e-12
+        assert orbit.value_error < 1e-9
+        assert orbit.multipliers == pytest.approx([1.0], abs=1e-9)
 
 
 def hill(drive, at):
@@ -239,11 +298,50 @@ def test_symmetric_orbits_of_the_driven_pendulum():
             assert traces[lane, here] == pytest.approx(hill(drive, at), rel=1e-6)
 
 
-def test_symmetric_orbits_of_the_particle_are_refused():
-    """Its reversal turns the velocity around, and keeps no point: one line says that there are none in general."""
-    session = jaxnh.Session(jaxnh.disturbed_speed(d=0.1), target=1e-6)
-    with pytest.raises(InputError, match="and that of this one keeps 3 of 3"):
-        session.run(jaxnh.Reversal(transient=1, strobes=64, periods=16, max_period=1), b=[3.0])
+def from_origin(par, b, angle, instant, duration):
+    """The state (3,) and its derivatives in (x, y, θ, b), (3, 4), so long after the particle leaves x = y = 0; heyoka."""
+    ta, at_zero = integrator(par.equations, 1, REAL, float(np.finfo(REAL).eps))
+    ta.pars[:], ta.state[:], ta.time = [REAL(b), par.a, par.c, par.d, par.omega], at_zero, REAL(instant)
+    ta.state[:3] = [0.0, 0.0, angle]
+    ta.propagate_until(REAL(instant) + REAL(duration))
+    return ta.state[:3].copy(), ta.state[3:].reshape(3, 4).copy()
+
+
+def symmetric_by_heyoka(par, b, angle, instant, n):
+    """The b, the angle and the multipliers of an orbit that leaves x = y = 0 and is there again after half of n periods."""
+    for _ in range(8):
+        state, first = from_origin(par, b, angle, instant, n * np.pi)
+        step = np.linalg.solve(first[:2, 2:].astype(float), -state[:2].astype(float))
+        angle, b = angle + step[0], b + step[1]
+    assert np.abs(step).max() < 1e-14
+    return b, angle, np.linalg.eigvals(from_origin(par, b, angle, instant, n * TURN)[1][:, :3].astype(float))
+
+
+@pytest.mark.slow
+def test_symmetric_orbits_of_the_particle():
+    """They are at isolated b, and pass x1 = y1 = 0 when the forcing is largest or least, or both: heyoka has the same b.
+
+    The reversal turns the velocity around and keeps no point; after the symmetry (x1, y1, n) -> (-x1, -y1, -n) it keeps a
+    line, x1 = y1 = 0. The one that is left of three multipliers is one.
+    """
+    session, par = jaxnh.Session(jaxnh.disturbed_speed(d=0.1), target=1e-8), TaylorParameters(d=0.1)
+    data = session.run(jaxnh.Reversal(transient=1, strobes=64, periods=16, max_period=2), b=[0.2, 0.28])
+    assert data.attrs["orbit_reversal"].startswith("x1 -> -x1, y1 -> -y1, velocities opposite, t -> 3.14159")
+    known = np.argwhere(data["orbit_period"].to_numpy() > 0)
+    assert len(known) > 0
+    for lane, number in known:
+        ours = data.isel(b=lane, orbit=number)
+        x, y = (float(ours[f"{name}1_points"]) for name in "xy")
+        if max(abs(x), abs(y)) > 1e-6:  # it is at the origin half a period later
+            continue
+        n, angle = int(ours["orbit_period"]), np.arctan2(float(ours["y2_points"]), float(ours["x2_points"]))
+        b, exact, values = symmetric_by_heyoka(par, float(ours["orbit_b"]) + 1e-6, angle + 1e-6, np.pi / 2, n)
+        assert abs(b - float(ours["orbit_b"])) <= float(ours["orbit_b_error"])
+        assert float(ours["orbit_b_error"]) < 1e-6
+        assert abs(exact - angle) < 1e-6
+        mine = ours["orbit_multipliers"].to_numpy() @ [1.0, 1.0j]
+        assert np.sort(np.abs(mine)) == pytest.approx(np.sort(np.abs(values)), rel=1e-4)
+        assert np.abs(values - 1.0).min() < 1e-6
 
 
 COUPLED_ROTATORS = """

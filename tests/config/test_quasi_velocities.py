@@ -9,12 +9,14 @@ import pytest
 import jaxnh
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
+from jaxnh.engine.start_states import put_on_level
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.mechanics import ellipsoid, rolling_body
-from jaxnh.solvers import dopri8
+from jaxnh.solvers import dopri8, tsit5
 from jaxnh.systems.lagrangian import Motion, lagrangian
+from jaxnh.systems.level import off_level, on_level
 from tests.helpers.cases import some_slow
 from tests.helpers.paths import ROOT
 
@@ -183,8 +185,8 @@ def test_start_on_a_level(tmp_path):
     """Velocities are scaled to an energy, given or swept, at each lane's own parameters; the direction stays."""
     made = pebbles(tmp_path, "energy: {values: [2.0, 5.0, 0.5]}")
     (axis,) = made.axes
-    assert (axis.name, axis.kind, axis.dim) == ("energy", "start", "start_energy")
-    start = made.start({"energy": axis.values}, 3)
+    assert (axis.name, axis.kind, axis.dim) == ("energy", "lane", "energy")
+    start = made.start({}, 3, own={"energy": axis.values})
     assert np.abs(energy(start, 1.4, 0.9)[:2] - axis.values[:2]).max() < 1e-12
     assert np.abs(start.v[2][:2] / start.v[0][:2] - 5.0).max() < 1e-13
     assert start.watch[1].tolist() == [0.0, 0.0, 2.0]  # at rest it has more than 0.5: off_constraint
@@ -212,6 +214,21 @@ def test_wrong_levels(tmp_path, sweep, more, message):
         pebbles(tmp_path, sweep, more)
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_steps_stay_on_a_level():
+    """Long steps of low order leave it by 1e-3 and more, but for the projection; of it two steps of Newton leave rounding."""
+    flow = on_level(lagrangian(pebble, {"mass": 1.4, "gravity": 0.9}, ("gravity",)), {"energy": 3.0}, ("energy",))
+    assert (flow.lane_parameters, flow.exponents) == (("gravity", "energy"), 4)
+    start = Motion((0.0, 0.6, 0.8), (0.1, 0.3, 1.5), (0.0, 0.0))
+    levels, strobe = np.array([3.0, 5.0]), make_return_map(flow, tsit5, 4)
+    (start, reached) = put_on_level(off_level(flow), jax.tree.map(lambda x: np.full(2, x), start), {}, "energy", levels)
+    assert reached.all()
+    end = LaneExecutor()(iterate, (strobe, np.int32(20)), (start, {"gravity": np.full(2, 0.9), "energy": levels}))
+    assert np.abs(energy(end, 1.4, 0.9) - levels).max() < 1e-13
+    free = make_return_map(off_level(flow), tsit5, 4)
+    end = LaneExecutor()(iterate, (free, np.int32(20)), (start, {"gravity": np.full(2, 0.9), "energy": levels}))
+    assert np.abs(energy(end, 1.4, 0.9) - levels).min() > 1e-4
 
 
 @pytest.mark.slow

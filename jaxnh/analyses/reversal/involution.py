@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,11 +31,18 @@ NONE, _DECLARED, _FIRST = 0, 1, 2  # numbers of reversals: none, the system's ow
 _ON_SECTION = 16  # random points of a section of which the images are to be on it
 
 
-def choose_reversal(batch: LaneBatch) -> int:
+def _accept(reversal: Reversal) -> bool:
+    return True
+
+
+def choose_reversal(batch: LaneBatch, suits: Callable[[Reversal], bool] = _accept) -> int:
     """Return the number of a reversal that holds in a lane of a batch and keeps its section; `NONE` where none does.
 
     It is the system's own where it says one, else, or where the section wants another one as well, the change of the
     fewest signs at the earliest instant.
+
+    Args:
+        suits: whether a reversal is of the kind that is wanted.
 
     Raises:
         InputError: what the system says is no reversal.
@@ -44,12 +53,13 @@ def choose_reversal(batch: LaneBatch) -> int:
             one = _as_candidates(declared)
             if violations(flow, one, p)[0] > EXACT:
                 continue
-            if _keep_section(batch.system, one, p)[0]:
+            if _keep_section(batch.system, one, p)[0] and suits(declared):
                 return _DECLARED
         if changes:
             holds = (violations(flow, changes, p) <= EXACT) & _keep_section(batch.system, changes, p)
-            if holds.any():
-                return _FIRST + int(np.argmax(holds))
+            for place in np.flatnonzero(holds):
+                if suits(_candidate(changes, int(place))):
+                    return _FIRST + int(place)
     return NONE
 
 
@@ -65,7 +75,7 @@ def reversal_of(batch: LaneBatch, number: int) -> Reversal:
     if number == _DECLARED or candidates is None:
         assert declared is not None
         return declared
-    return jax.tree.map(lambda leaf: float(leaf[number - _FIRST]), candidates)
+    return _candidate(candidates, number - _FIRST)
 
 
 def is_reversible(batch: LaneBatch, lanes: LaneRunner, reversal: Reversal) -> Bool[np.ndarray, " lanes"]:
@@ -88,6 +98,10 @@ def images(batch: LaneBatch, lanes: LaneRunner, reversal: Reversal, states: Stat
 
 def _as_candidates(reversal: Reversal) -> Reversal:
     return jax.tree.map(lambda number: np.array([number]), reversal)
+
+
+def _candidate(candidates: Reversal, place: int) -> Reversal:
+    return jax.tree.map(lambda leaf: float(leaf[place]), candidates)
 
 
 def _sample_lanes(batch: LaneBatch) -> list[dict[str, float]]:
@@ -124,7 +138,7 @@ def _describe_failure(batch: LaneBatch) -> str:
     if candidates is None:
         return "of so many coordinates no changes of signs are tried: give the system its reversal"
     gaps = violations(flow, candidates, p)
-    nearest = jax.tree.map(lambda leaf: float(leaf[np.argmin(gaps)]), candidates)
+    nearest = _candidate(candidates, int(np.argmin(gaps)))
     words = describe_reversal(flow, nearest)
     if isinstance(system, Section) and gaps.min() <= EXACT:
         return (

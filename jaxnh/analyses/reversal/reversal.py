@@ -53,7 +53,7 @@ from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.reversal.involution import choose_reversal, image_points, images, is_reversible, reversal_of
 from jaxnh.analyses.reversal.rates import Rates, of_attractor, of_repeller
 from jaxnh.analyses.reversal.sets import WITHIN, SetComparison, compare_sets
-from jaxnh.analyses.reversal.symmetric_orbits import check_dimension, orbit_variables, symmetric_orbits
+from jaxnh.analyses.reversal.symmetric_orbits import choose_symmetry, orbit_variables, symmetric_orbits
 from jaxnh.analyses.section_points import points_at
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.maps.build import make_return_map
@@ -63,7 +63,6 @@ from jaxnh.maps.section import reports
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import AdaptiveMethod
 from jaxnh.systems.flow import status
-from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.reversal import describe_reversal
 
@@ -95,8 +94,11 @@ def check(options: ReversalOptions, setting: Setting) -> None:
         raise OptionError("a map is not followed backwards; a reversal is one of a flow")
     if isinstance(setting.flow, PiecewiseSmooth):
         raise OptionError("motions with jumps or switches are not followed backwards")
-    if isinstance(setting.flow, Lagrangian) and setting.flow.quasi:
-        raise OptionError("no reversal is known of quasi-velocities; write T, Q and f in velocities")
+    if options.max_period and len(setting.axes) > 1:
+        raise OptionError("symmetric orbits are looked for along one axis of a sweep", "max_period")
+    shared = [axis.name for axis in setting.axes if axis.kind == "shared"]
+    if options.max_period and shared:
+        raise OptionError(f"symmetric orbits are of one clock, which {shared[0]} changes{setting.advice}", "max_period")
 
 
 def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
@@ -104,9 +106,12 @@ def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     reversal = choose_reversal(batch)
     if isinstance(batch.solver, AdaptiveMethod):
         raise OptionError(f"the flow takes steps of a lane's own ({batch.solver.name}), which go forward alone")
-    if options.max_period:
-        check_dimension(batch, reversal_of(batch, reversal))
     return {"reversal": reversal, **lyapunov.choose(_of_exponents(options, batch), batch, lanes)}
+
+
+def _independent(options: ReversalOptions) -> bool:
+    """Return False where symmetric orbits are wanted: they may be at values of the parameter between lanes."""
+    return not options.max_period
 
 
 def _of_exponents(options: ReversalOptions, batch: LaneBatch) -> LyapunovOptions:
@@ -123,8 +128,8 @@ def run(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     reversal = reversal_of(batch, chosen["reversal"])
     half = 0.5 * float(reversal.instant)
     reversible = is_reversible(batch, lanes, reversal)
-    strobe, start = _from_instant(batch, lanes, half)
-    p = dict(batch.p)
+    symmetry = choose_symmetry(batch) if options.max_period else None
+    strobe, start, p = _strobe_from(batch, half), _start_at(batch, lanes, half), dict(batch.p)
     with lanes.stage(
         f"reversal: points of {batch.count} lanes", batch.count * float(options.transient + options.strobes)
     ):
@@ -139,29 +144,37 @@ def run(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     compared = compare_sets(batch, lanes, points, mirrored, _resolution(batch, forward, options.strobes))
     ended = np.asarray(reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], states))["status"].data)
     variables = _variables(batch, forward, backward, compared, reversible, ended)
-    if options.max_period:
+    if symmetry and options.max_period:
         size = np.where(batch.chart.angles, np.pi, np.max(np.abs(points), axis=1))
-        size = np.where(size > 0.0, size, 1.0)
+        size, instant = np.where(size > 0.0, size, 1.0), 0.5 * float(symmetry.reversal.instant)
+        strobes = _strobe_from(batch, instant), _strobe_from(batch, instant, 2)
         with lanes.stage(f"reversal: symmetric orbits of {batch.count} lanes", 0):
-            orbits = symmetric_orbits(batch, lanes, reversal, strobe, size, options.max_period)
-        variables |= orbit_variables(batch, lanes, orbits)
+            orbits = symmetric_orbits(batch, lanes, symmetry, strobes, size, options.max_period)
+        variables |= orbit_variables(batch, lanes, orbits, symmetry)
     attrs = {"reversal": describe_reversal(batch.flow, reversal), "within": WITHIN, **section_attrs(batch)}
+    if symmetry:
+        attrs["orbit_reversal"] = describe_reversal(batch.flow, symmetry.reversal)
     return xr.Dataset(variables, attrs=attrs)
 
 
-def _from_instant(batch: LaneBatch, lanes: LaneRunner, instant: float) -> tuple[ReturnMap, Any]:
-    """Return the map of a period from an instant of the clock on, and the start states brought there."""
+def _strobe_from(batch: LaneBatch, instant: float, refinement: int = 1) -> ReturnMap:
+    """Return the map of a period from an instant of the clock on, with `refinement` times the steps."""
     if not instant:
-        return batch.map(), batch.start
-    spans = (0.0, instant), (instant, instant + batch.flow.period)
-    before, strobe = (
-        in_precision(
-            make_return_map(batch.system, batch.solver, batch.steps, compensated=batch.compensated, span=span),
-            batch.precision,
-        )
-        for span in spans
-    )
-    return strobe, lanes(iterate, (before, np.int32(1)), batch.lanes, periods=1)
+        return batch.map(refinement)
+    return _map_over(batch, (instant, instant + batch.flow.period), refinement)
+
+
+def _map_over(batch: LaneBatch, span: tuple[float, float], refinement: int = 1) -> ReturnMap:
+    steps = refinement * batch.steps
+    made = make_return_map(batch.system, batch.solver, steps, compensated=batch.compensated, span=span)
+    return in_precision(made, batch.precision)
+
+
+def _start_at(batch: LaneBatch, lanes: LaneRunner, instant: float) -> Any:
+    """Return the start states, brought to an instant of the clock."""
+    if not instant:
+        return batch.start
+    return lanes(iterate, (_map_over(batch, (0.0, instant)), np.int32(1)), batch.lanes, periods=1)
 
 
 def _resolution(batch: LaneBatch, rates: Rates, points: int) -> Float[np.ndarray, " lanes"]:
@@ -290,6 +303,7 @@ ANALYSIS = Analysis(
     ReversalOptions,
     periods,
     run,
+    independent=_independent,
     choose=choose,
     classes=kind_of_lanes,
     check=check,
