@@ -108,6 +108,29 @@ def test_fronts_in_closed_form():
         assert error.max() < 1e-8
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("name", "drive", "exact"), [("orbit_flip", 1.0, 1.0), ("inclination_flip", 0.0, 2.0)])
+def test_flips_in_closed_form(name, drive, exact, sign):
+    """The one flip along the line a = 0, within its error; where a share is zero all along there is none."""
+
+    def define(a, q, kappa=0.4):
+        return connections.flips(a, q, kappa, drive, 1.0 - drive, sign)
+
+    problem = problem_of(
+        first_order(define, {"a": 0.0, "q": 1.0}, ("a", "q")), ("a", "q"), (1.5, 0.6, 3.0), (1.0, 2.0)
+    )
+    times = np.linspace(-12.0, 12.0, 200)
+    x = 1.5 / np.cosh(times / 2) ** 2
+    states = np.stack([x, -sign * x * np.tanh(times / 2), 0 * x], axis=1)
+    begun = connection_near(problem, guess_through(times, states, (0.05, 1.5)), np.zeros(3), np.zeros(3))
+    curve = follow_connections(problem, begun, np.array([-0.5, 0.5]), np.array([0.5, 3.0]), StepControl(0.1, 40))
+    assert curve.ends == (RANGE, RANGE)
+    [(_, point)] = special_connections(problem, curve)
+    assert POINTS[point.kind] == f"{name}_{'stable' if sign > 0 else 'unstable'}"
+    assert np.all(np.abs(point.values - [0.0, exact / (1 - 0.4**2)]) <= point.error)
+    assert point.error.max() < 1e-6
+
+
 def test_what_is_near_no_orbit():
     """No orbit from a path that is none, and none between saddles of unlike numbers of unstable directions."""
     problem = problem_of(

@@ -22,7 +22,7 @@ from jaxnh.orbits.bifurcations.codimension_two import POINTS
 from jaxnh.orbits.continuation.curves import CURVE_STEPS, follow_both_ways
 from jaxnh.orbits.continuation.equilibrium_curves import critical_equilibria
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF, KINDS
-from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, ENDS, StepControl
+from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, ENDS, MOST_POINTS, RANGE, StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.helpers.batches import batch_of
@@ -278,6 +278,23 @@ def test_curves_of_cycles_from_points(lanes, define, names, u, kind, values, nam
         # parameter ten times less well.
         assert misses(define, one.values).max() < 1e-9
         assert len(one.values) > 5
+
+
+def test_a_curve_of_equilibria_that_is_cut_is_listed_once(lanes):
+    """Parts of one Hopf curve, cut by `max_steps`, that overlap: μ = 0 from end to end, with its point once."""
+    field = problem(planar, {"mu": PLANE[0], "beta": PLANE[0]}, {"mu": PLANE[1], "beta": PLANE[1]}, lanes).field
+    seeds = []
+    for beta in (-0.3, 0.05, 0.4):
+        u, values = np.zeros((1, 2)), np.array([[0.0, beta]])
+        seeds.append((HOPF, critical_equilibria(field, HOPF, u, values, linearisations(field, u, values))))
+    parts = [one.curve for seed in seeds for one in follow_all(field, [seed], StepControl(0.05, 9))]
+    assert all(MOST_POINTS in part.ends for part in parts)
+    [whole] = follow_all(field, seeds, StepControl(0.05, 9))
+    assert whole.curve.ends == (RANGE, RANGE)
+    assert [POINTS[p.point.kind] for p in whole.points] == ["generalised_hopf"]
+    beta = whole.curve.values[:, 1]
+    assert sorted(beta[[0, -1]]) == pytest.approx(PLANE)
+    assert np.all(np.diff(beta) * (beta[-1] - beta[0]) > 0.0)  # no point twice
 
 
 # ---- Bazykin's predator and prey

@@ -20,7 +20,8 @@ from jaxnh.orbits.continuation import core, paths
 from jaxnh.orbits.continuation.arclength import collapses
 from jaxnh.orbits.continuation.core import FINE, Evaluation, LinearSolution, Solution
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, closed_determinant, second_compound
-from jaxnh.orbits.continuation.paths import StepControl
+from jaxnh.orbits.continuation.paths import StepControl, Track
+from jaxnh.orbits.continuation.tracks import joined
 from jaxnh.orbits.multipliers import angle_cosine, multipliers
 from jaxnh.systems.chart import Wrap
 
@@ -153,9 +154,22 @@ def follow_both_ways(
     confirmed = np.flatnonzero(begun.converged)
     curves = list[Curve | None]([None] * len(z))
     for k, track in paths.follow_both_ways(equations, begun.take(confirmed), steps).items():
-        orbits, both = split_unknowns(plane, track.points.z)
-        curves[confirmed[k]] = Curve(kind, orbits, both, track.points, multipliers(track.points.blocks), track.ends)
+        curves[confirmed[k]] = _curve(plane, kind, track)
     return curves
+
+
+def join_curves(plane: ParameterPlane, one: Curve, other: Curve, near: float) -> Curve | None:
+    """The curve that two are parts of, the first of them cut on the second (`tracks.joined`); None where it is not."""
+    if (one.kind, one.period) != (other.kind, other.period):
+        return None
+    equations = BifurcationEquations(plane, one.kind, one.track.z.shape[1])
+    track = joined(equations, Track(one.track, one.ends), Track(other.track, other.ends), near)
+    return None if track is None else _curve(plane, one.kind, track)
+
+
+def _curve(plane: ParameterPlane, kind: int, track: Track) -> Curve:
+    points, values = split_unknowns(plane, track.points.z)
+    return Curve(kind, points, values, track.points, multipliers(track.points.blocks), track.ends)
 
 
 class BifurcationEquations:

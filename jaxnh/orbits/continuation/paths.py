@@ -293,6 +293,10 @@ class Track(NamedTuple):
     points: Solution
     ends: tuple[int, int]
 
+    def backward(self) -> Track:
+        """The same from its other end."""
+        return Track(self.points.take(slice(None, None, -1)).backward(), self.ends[::-1])
+
 
 def follow_both_ways(
     equations: CurveEquations,
