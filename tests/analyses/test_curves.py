@@ -14,7 +14,7 @@ from jaxnh.orbits.bifurcations.codimension_two import POINTS
 from jaxnh.orbits.continuation.core import Solution
 from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, join_unknowns
 from jaxnh.orbits.continuation.kinds import FOLD, KINDS
-from jaxnh.orbits.continuation.paths import CLOSED, MOST_POINTS
+from jaxnh.orbits.continuation.paths import CLOSED, ENDS, MOST_POINTS
 from jaxnh.systems.particle import constant_speed
 from tests.flows.normal_forms import normal_form
 from tests.flows.particle import twin
@@ -52,7 +52,7 @@ def test_a_curve_that_is_cut_is_listed_once(angles, ends):
     apart = [curve for seed in seeds for curve in curves._follow_curves(plane, [], [seed], options)]
     assert {curve.ends for curve in apart} == {(MOST_POINTS, MOST_POINTS)}
     [whole] = curves._follow_curves(plane, [], seeds, options)
-    assert [whole] == [one for one in curves._follow_curves(plane, [whole], seeds, options)]
+    assert curves._follow_curves(plane, [whole], seeds, options) == [whole]
     assert whole.ends == (ends, ends)
     assert np.abs(np.linalg.norm(whole.values, axis=1) - 0.5).max() < 1e-9
     assert np.abs(whole.multipliers - 1.0).max() < 1e-9
@@ -210,6 +210,10 @@ def test_curves_of_cycles_of_lorenz84(tmp_path):
     cycles = [KINDS[kind] for kind, n in zip(data["kind"].values, data["period"].values, strict=True) if n]
     assert "fold" in cycles
     assert cycles.count("neimark_sacker") == 4
+    cusps = points["kind"].values == POINTS.index("cusp")  # where folds of cycles leave the section there is none
+    assert set(data["period"].values[points["curve"].values[cusps]].tolist()) == {0}
+    for k in np.flatnonzero((data["kind"].values == KINDS.index("fold")) & (data["period"].values == 1)):
+        assert sorted(ENDS[int(data[end][k])] for end in ("begins", "ends")) == ["no_convergence", "range"]
     third = np.flatnonzero(points["kind"].values == POINTS.index("resonance_1_3"))
     assert len(third) == 2
     for name, sign in (("f", 1.0), ("tau", -1.0)):

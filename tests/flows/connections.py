@@ -42,6 +42,9 @@ def arneodo(a=0.6, b=0.7):
     return {"rhs": rhs, "coordinates": ("x", "v", "w")}
 
 
+SANDSTEDE = {"mt": 0.0, "a": 0.0, "b": 1.0, "c": -2.0, "alpha": 1.0, "beta": 1.0, "gamma": 0.0}
+
+
 def sandstede(mt=0.0, a=0.0, b=1.0, c=-2.0, alpha=1.0, beta=1.0, gamma=0.0, mu=0.0):
     """Sandstede's flow (J. Dynam. Differential Equations 9 (1997) 269): at mt = mu = 0, |a| < b, the loop x²(1 − x) = y²
     in z = 0 is homoclinic to the origin, whose eigenvalues are a + b, a − b and c."""
@@ -85,6 +88,24 @@ def fitzhugh(c=0.5, a=0.1, eps=0.005):
         return v, c * v + u * (u - a) * (u - 1.0) + w, eps * u / c
 
     return {"rhs": rhs, "coordinates": ("u", "v", "w")}
+
+
+FITZHUGH = 0.291311219579424, 0.517493141087285
+"""c of the slow and of the fast pulse at a = 0.1, ε = 0.005, by `escape`."""
+
+
+def escape(rhs, jacobian, duration=400.0):
+    """The sign of the first coordinate with which the unstable manifold of the origin leaves all bounds."""
+    values, vectors = np.linalg.eig(np.asarray(jacobian, float))
+    vector = vectors[:, np.argmax(values.real)].real
+
+    def leaves(t, y):
+        return abs(y[0]) - 5.0
+
+    leaves.terminal = True
+    options = {"rtol": 1e-13, "atol": 1e-17, "events": leaves}
+    start = 1e-7 * np.sign(vector[0]) * vector
+    return np.sign(solve_ivp(lambda t, y: rhs(y, t), (0.0, duration), start, "DOP853", **options).y[0, -1])
 
 
 def side(rhs, jacobian, duration=100.0):

@@ -1,12 +1,13 @@
 """Points of codimension two on curves of homoclinic orbits, and what the eigenvalues of the saddle tell. Host code.
 
-Test functions of the leading eigenvalues, of the directions in which an orbit leaves and comes back, and of those of the
-adjoint solution (Champneys and Kuznetsov, Int. J. Bifurcation Chaos 4 (1994) 785). Zeros are located on the curve by
-false position.
+Test functions of the leading eigenvalues, of the directions in which an orbit leaves and comes back, and of those of
+the adjoint solution (Champneys and Kuznetsov, Int. J. Bifurcation Chaos 4 (1994) 785). Zeros are located on the curve
+by false position.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,7 +16,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxnh.orbits.collocation.adjoint import adjoint_solution
-from jaxnh.orbits.collocation.connections import Connection, ConnectionCurve, Stretch, refined
+from jaxnh.orbits.collocation.connection_meshes import Connection, refined
+from jaxnh.orbits.collocation.connections import ConnectionCurve, Stretch
 from jaxnh.orbits.collocation.equations import Problem
 from jaxnh.orbits.collocation.homoclinic import SaddlePoint
 
@@ -41,6 +43,8 @@ _NOISE = 1e-6  # of test functions of orbits in sizes: 1e-13 at their ends, wher
 _SECANTS = 60
 _KNOWN = 1e-13  # of the way between two points
 _DIFFERENCE = 1e-4  # likewise, for slopes
+_SECOND_ORDER = 0.1  # of what refinement changes
+_ROUNDINGS = 16 * np.finfo(float).eps
 _JUMP = 0.2  # of the smaller of both values of a test function: what is no smaller at its zero is a jump
 
 
@@ -139,14 +143,9 @@ def _orbit(problem: Problem, point: Connection) -> _Orbit:
     ends = np.stack([path.ends[0, end] - saddle.state for end, saddle in zip((-1, 0), saddles, strict=True)])
     adjoint, normal = np.full_like(left, np.nan), np.full(2, np.nan)
     if any(len(side) > 1 and not side[0].imag for side in eigenvalues):
-        try:
-            psi = adjoint_solution(problem, point)
-        except (np.linalg.LinAlgError, RuntimeError):  # RuntimeError: of a sparse matrix that is singular
-            return _Orbit(point, eigenvalues, left, right, ends / problem.size, adjoint, normal)
-        states, values = path.ends[0], np.tile(point.values, (len(psi), 1))
-        slopes = np.asarray(problem.field(states, np.zeros(len(psi)), values).by_parameters)
-        products = np.einsum("kd,kdq->kq", psi / problem.size, slopes * problem.widths)
-        adjoint, normal = psi[[0, -1]], np.trapezoid(products, path.mesh[0], axis=0)
+        with contextlib.suppress(np.linalg.LinAlgError):
+            psi, normal = adjoint_solution(problem, point.solution, point.departure, point.arrival)
+            adjoint = psi[[0, -1]]
     return _Orbit(point, eigenvalues, left, right, ends / problem.size, adjoint, normal)
 
 
@@ -168,11 +167,18 @@ def _test(test: tuple[int, int], orbit: _Orbit, reference: _Orbit) -> float:
         return float(beyond[0].real + 2.0 * own[0].real) if own[0].imag and not beyond[0].imag else np.nan
     if len(own) < 2 or own[0].imag:
         return np.nan
-    growth = np.exp(0.5 * abs(own[0].real) * orbit.point.solution.duration[0])
+    growth = _growth(orbit, side)
     if kind == _ORBIT:
-        return float(np.copysign(growth, orbit.left[side] @ reference.left[side]) * (orbit.left[side] @ orbit.ends[side]))
+        return float(
+            np.copysign(growth, orbit.left[side] @ reference.left[side]) * (orbit.left[side] @ orbit.ends[side])
+        )
     sign = (orbit.right[side] @ reference.right[side]) * (orbit.normal @ reference.normal)
     return float(np.copysign(growth, sign) * (orbit.right[side] @ orbit.adjoint[side]))
+
+
+def _growth(orbit: _Orbit, side: int) -> float:
+    """The exponential by which shares in the leading direction fall from the middle of the orbit to an end."""
+    return float(np.exp(0.5 * abs(orbit.eigenvalues[side][0].real) * orbit.point.solution.duration[0]))
 
 
 def _eigenvector(matrix: Float[np.ndarray, "d d"], value: complex) -> Float[np.ndarray, " d"]:
@@ -218,15 +224,42 @@ def _locate(
     finer = refined(problem, point)
     if finer is None:
         return None
-    exact, error = finer
+    exact, error, longer = finer
     (low, before), (high, after) = (at(share + step) for step in (-_DIFFERENCE, _DIFFERENCE))
     if before is None or after is None:
         return None
-    change = (after.values - before.values) / (2.0 * _DIFFERENCE)
-    further = 0.0 if jumps or high == low else -_test(test, _orbit(problem, exact), reference) / (high - low) * 2.0 * _DIFFERENCE
+    change, slope = (after.values - before.values) / (2.0 * _DIFFERENCE), (high - low) / (2.0 * _DIFFERENCE)
+    orbit = _orbit(problem, exact)
+    further = 0.0 if jumps or slope == 0.0 else -_test(test, orbit, reference) / slope
+    uncertain = abs(further) * _remainder(test, orbit, longer)
+    if slope != 0.0 and not jumps:
+        uncertain += _rounding(test, orbit) / abs(slope)
     return SpecialConnection(
-        _kind_of(test, point, jumps), exact.values + further * change, error + np.abs(further * change), exact
+        _kind_of(test, point, jumps), exact.values + further * change, error + np.abs(uncertain * change), exact
     )
+
+
+def _remainder(test: tuple[int, int], orbit: _Orbit, longer: float) -> float:
+    """Error of a test function on the refined orbit, of what refinement has changed.
+
+    Those of eigenvalues are exact at the parameters, and what is left is of second order. Shares in the leading
+    direction come to their limits as the next direction and second orders do against it.
+    """
+    kind, side = test
+    if kind not in (_ORBIT, _INCLINATION):
+        return _SECOND_ORDER
+    first, second = np.abs(np.real(orbit.eigenvalues[side][:2]))
+    left = np.exp(-min(second - first, first) * longer)
+    return float(left / (1.0 - left)) + _SECOND_ORDER
+
+
+def _rounding(test: tuple[int, int], orbit: _Orbit) -> float:
+    """Rounding of a test function: of eigenvalues, or of states where shares are taken."""
+    kind, side = test
+    if kind in (_ORBIT, _INCLINATION):
+        return _ROUNDINGS * _growth(orbit, side)
+    largest = float(np.abs(orbit.point.departure.jacobian).max())
+    return _ROUNDINGS * (largest**2 if kind == _DOUBLE else largest)
 
 
 def _false_position(value: Callable[[float], float], ends: tuple[float, float]) -> float | None:

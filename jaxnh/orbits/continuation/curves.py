@@ -28,7 +28,10 @@ from jaxnh.systems.chart import Wrap
 CURVE_STEPS = StepControl(max_steps=500)
 """Default steps."""
 
-_SHIFT = 1e-6  # of differences, in lengths: Newton's steps shrink by such a factor
+_SHIFT = 1e-6  # of central differences, in lengths: their error is its square, and rounding over it
+_CURVED = (
+    1e-2  # part of first differences of a test function that second ones are, at most, for derivatives to be known
+)
 
 
 class PeriodAndParameters(Protocol):
@@ -232,11 +235,14 @@ def _equations(
     (points, values), lanes = split_unknowns(plane, z), len(z)
     n, d = points.shape[1:]
     width = plane.high - plane.low
-    # One call for all: the orbits, and for differences each coordinate of all points and each parameter shifted.
-    at = [points, *(points + _SHIFT * plane.size * unit for unit in np.eye(d)), points, points]
-    by = [values] * (d + 1) + [values + _SHIFT * width * unit for unit in np.eye(2)]
+    # One call for all: the orbits, and for differences each coordinate of all points and each parameter shifted there
+    # and back. One-sided ones turn a curve round near generalised Hopf points, where a fold's direction is left to what
+    # two nearly equal cycles differ by: by their error, 1e-4 where cycles pass the section at a small angle.
+    shifts = [sign * _SHIFT * unit for sign in (1.0, -1.0) for unit in np.eye(d + 2)]
+    at = [points, *(points + plane.size * shift[:d] for shift in shifts)]
+    by = [values, *(values + width * shift[d:] for shift in shifts)]
     image, every, columns = _periods(plane, np.concatenate(at), np.concatenate(by))
-    every = every.reshape(d + 3, *points.shape, d)
+    every = every.reshape(2 * d + 5, *points.shape, d)
     image, blocks, columns = image[:lanes], every[0], columns[:lanes]
     missing = plane.wrap(image - np.roll(points, -1, 1)) / plane.size
     slopes = np.zeros((lanes, n * d + 1, n * d + 2))
@@ -245,15 +251,21 @@ def _equations(
         slopes[:, rows, i * d : (i + 1) * d] += np.sqrt(n) * blocks[:, i]
         slopes[:, rows, ahead : ahead + d] -= np.sqrt(n) * np.eye(d)
         slopes[:, rows, -2:] = columns[:, i]
-    # One determinant a derivative, all in one call: the orbit's own, one with each point shifted, whose block is all
-    # that changes, and one with each parameter.
-    shifted = np.broadcast_to(blocks, (n, d, *blocks.shape)).copy()
+    # Two determinants a derivative, all in one call: the orbit's own, those with each point shifted, whose block is all
+    # that changes, and those with each parameter.
+    sides = every[1:].reshape(2, d + 2, *blocks.shape)
+    shifted = np.broadcast_to(blocks, (2, n, d, *blocks.shape)).copy()
     for i in range(n):
-        shifted[i, :, :, i] = every[1 : d + 1, :, i]
-    stacked = np.concatenate([blocks[None], shifted.reshape(n * d, *blocks.shape), every[d + 1 :]])
+        shifted[:, i, :, :, i] = sides[:, :d, :, i]
+    both = np.concatenate([shifted.reshape(2, n * d, *blocks.shape), sides[:, d:]], axis=1)
+    stacked = np.concatenate([blocks[None], both.reshape(-1, *blocks.shape)])
     with np.errstate(invalid="ignore", over="ignore"):
         test, *others = _finite_test(kind, stacked.reshape(-1, *blocks.shape[1:])).reshape(len(stacked), lanes)
-        slopes[:, -1] = ((np.array(others) - test) / _SHIFT).T * np.append(np.full(n * d, np.sqrt(n)), [1.0, 1.0])
+        ahead, back = np.array(others).reshape(2, -1, lanes)
+        change, bend = 0.5 * (ahead - back), 0.5 * (ahead + back) - test
+        # As towards orbits that touch their section, beyond which the map has no value.
+        test = np.where(np.linalg.norm(bend, axis=0) <= _CURVED * np.linalg.norm(change, axis=0), test, np.nan)
+        slopes[:, -1] = (change / _SHIFT).T * np.append(np.full(n * d, np.sqrt(n)), [1.0, 1.0])
         scale = np.linalg.norm(slopes[:, -1], axis=1)
         slopes[:, -1] /= scale[:, None]
         return np.concatenate([missing.reshape(lanes, -1), (test / scale)[:, None]], axis=1), slopes, blocks

@@ -63,7 +63,7 @@ def nearest(
 
 
 def joined(equations: CurveEquations, one: Track, other: Track, near: float) -> Track | None:
-    """The curve that two tracks are parts of, the first of them cut (`MOST_POINTS`) on the second; None where it is not.
+    """The curve that two tracks are parts of, the first cut (`MOST_POINTS`) on the second; None where it is not.
 
     Args:
         equations: F, whose unknowns are in their units.
@@ -99,7 +99,7 @@ def _continued(equations: CurveEquations, one: Track, other: Track, near: float)
 
 
 def _closed(equations: CurveEquations, one: Track, more: Solution, near: float) -> Track | None:
-    """The closed curve of a track that was cut at its beginning too, where what goes on beyond its end comes back to it."""
+    """The closed curve of a track cut at its beginning too, where what goes on beyond its end comes back to it."""
     if one.ends[0] != MOST_POINTS:
         return None
     last = concatenated([one.points.take(slice(-1, None)), more])
