@@ -83,7 +83,7 @@ def curves_from(plane, kind, u, values):
 # ---- Lorenz-84: all kinds of points
 
 
-def conditions(at, names, shape=tuple(SHAPE.values())):
+def conditions(at, names, shape=(0.25, 0.25, "0.987", "1.04")):
     """The field and coefficients of the characteristic polynomial of its linearisation, by name, in long double."""
     x, y, z, u, f, t = at
     alpha, g, gamma, delta = (np.longdouble(value) for value in shape)

@@ -285,7 +285,7 @@ def _first_difference(one: list[_Passage], other: list[_Passage]) -> int | None:
 
 def _refined(shooting: Shooting, manifold: Manifold, bracket: SideChange) -> ConnectionSeed | None:
     """The path that comes nearest to the saddle between two values, None where it does not come near."""
-    search = _Search(shooting, manifold, bracket)
+    search = _PathSearch(shooting, manifold, bracket)
     search.between_values()
     if search.best is not None and search.best.distance > _NEAR_ENOUGH:
         search.between_states()
@@ -312,7 +312,7 @@ class _Nearest(NamedTuple):
     arrival: SaddlePoint
 
 
-class _Search:
+class _PathSearch:
     """The search for a path that comes near to a saddle between two that pass it on different sides.
 
     Attributes:

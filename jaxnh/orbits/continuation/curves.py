@@ -29,9 +29,7 @@ CURVE_STEPS = StepControl(max_steps=500)
 """Default steps."""
 
 _SHIFT = 1e-6  # of central differences, in lengths: their error is its square, and rounding over it
-_CURVED = (
-    1e-2  # part of first differences of a test function that second ones are, at most, for derivatives to be known
-)
+_CURVED = 1e-2  # second differences of a test function, of first ones: beyond, derivatives are not known
 
 
 class PeriodAndParameters(Protocol):

@@ -295,7 +295,8 @@ class Track(NamedTuple):
 
     def backward(self) -> Track:
         """The same from its other end."""
-        return Track(self.points.take(slice(None, None, -1)).backward(), self.ends[::-1])
+        first, last = self.ends
+        return Track(self.points.take(slice(None, None, -1)).backward(), (last, first))
 
 
 def follow_both_ways(
