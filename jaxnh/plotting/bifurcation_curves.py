@@ -39,6 +39,8 @@ SHORT_NAMES = {
     "neutrally divergent unstable": "NDU",
     "orbit flip stable": "OFS",
     "orbit flip unstable": "OFU",
+    "inclination flip stable": "IFS",
+    "inclination flip unstable": "IFU",
 }
 """Short names of points of codimension two."""
 

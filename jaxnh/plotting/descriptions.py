@@ -54,9 +54,14 @@ def _name_of(data: xr.Dataset) -> str:
 
 
 def _over(data: xr.Dataset, *dims: str) -> list[str]:
-    """Variables of numbers whose last dimensions are these, but for times."""
+    """Variables of numbers whose last dimensions are these."""
     items = ((str(name), item) for name, item in data.data_vars.items() if item.dtype.kind == "f")
-    return [name for name, item in items if name != "t" and item.dims[-len(dims) :] == dims]
+    return [name for name, item in items if item.dims[-len(dims) :] == dims]
+
+
+def _states_over(data: xr.Dataset, dim: str) -> list[str]:
+    """The same but for times."""
+    return [name for name in _over(data, dim) if name != "t"]
 
 
 def _with_errors(data: xr.Dataset, *dims: str) -> tuple[str, ...]:
@@ -65,13 +70,13 @@ def _with_errors(data: xr.Dataset, *dims: str) -> tuple[str, ...]:
 
 
 def _plane(data: xr.Dataset, panel: str, dim: str) -> _Description:
-    names = _over(data, dim)
+    names = _states_over(data, dim)
     return _Description(panel, names[:2] if len(names) > 1 else 2 * names, (dim,))
 
 
 def _diagram(data: xr.Dataset) -> _Description:
     if "strobe" in data.dims:
-        return _Description("density", _over(data, "strobe")[:1], ("start", "strobe"))
+        return _Description("density", _states_over(data, "strobe")[:1], ("start", "strobe"))
     first = next((str(name)[:-4] for name in data.data_vars if str(name).endswith("_max")), "")
     names = (name for name in (f"{first}_{kind}" for kind in ("max", "mean", "min")) if name in data)
     return _Description("curves", names, ("start",), f"{first} at the strobes", "none")

@@ -7,11 +7,14 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.continuation import curves
+from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.exceptions import ConfigError
+from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.codimension_two import POINTS
 from jaxnh.orbits.continuation.core import Solution
 from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, join_unknowns
-from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.orbits.continuation.kinds import FOLD, KINDS
+from jaxnh.orbits.continuation.paths import CLOSED, ENDS, MOST_POINTS
 from jaxnh.systems.particle import constant_speed
 from tests.flows.normal_forms import normal_form
 from tests.flows.particle import twin
@@ -25,10 +28,39 @@ def test_a_curve_with_a_point_twice_passes_where_it_did():
     plane = ParameterPlane(None, None, np.ones(1), np.zeros(2), np.ones(2))
     values = np.repeat([0.0, 0.5, 0.5, 1.0], 2).reshape(4, 2)
     points = np.zeros((4, 1, 1))
-    track = Solution(join_unknowns(plane, points, values), *([None] * (len(Solution._fields) - 1)))
+    way = np.tile([0.0, np.sqrt(0.5), np.sqrt(0.5)], (4, 1))
+    track = Solution(join_unknowns(plane, points, values), way, *([None] * (len(Solution._fields) - 2)))
     curve = Curve(0, points, values, track, np.ones((4, 1)), (0, 0))
     for at, there in ((0.25, True), (0.5, True), (0.9, True), (1.5, False)):
         assert curves._passes(plane, curve, curves._Seed(0, np.zeros((1, 1)), np.array([at, at]))) is there
+
+
+def ring(u, values):
+    """x → x + x² + p² + q² − 1/4: folds on a circle, at x = 0."""
+    x, (p, q) = u[:, 0], values.T
+    slopes = np.stack([2 * p, 2 * q], axis=1)[:, None]
+    return Derivatives((x + x**2 + p**2 + q**2 - 0.25)[:, None], (1 + 2 * x)[:, None, None], slopes)
+
+
+@pytest.mark.parametrize(("angles", "ends"), [((0.0, 90.0), MOST_POINTS), ((0.0, 120.0, 240.0), CLOSED)])
+def test_a_curve_that_is_cut_is_listed_once(angles, ends):
+    """Arcs of one circle that are cut by `max_steps` and overlap are one curve, and all around a closed one."""
+    plane = ParameterPlane(ring, lambda gap: gap, np.ones(1), np.full(2, -1.0), np.full(2, 1.0))
+    turns = np.deg2rad(angles)
+    seeds = [curves._Seed(FOLD, np.zeros((1, 1)), 0.5 * np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
+    options = CurvesOptions(ds_max=0.05, max_steps=14)
+    apart = [curve for seed in seeds for curve in curves._follow_curves(plane, [], [seed], options)]
+    assert {curve.ends for curve in apart} == {(MOST_POINTS, MOST_POINTS)}
+    [whole] = curves._follow_curves(plane, [], seeds, options)
+    assert curves._follow_curves(plane, [whole], seeds, options) == [whole]
+    assert whole.ends == (ends, ends)
+    assert np.abs(np.linalg.norm(whole.values, axis=1) - 0.5).max() < 1e-9
+    assert np.abs(whole.multipliers - 1.0).max() < 1e-9
+    turned = np.unwrap(np.arctan2(whole.values[:, 1], whole.values[:, 0]))
+    steps = np.diff(turned) * np.sign(turned[-1] - turned[0])
+    assert np.all(steps > 0.0)  # no point twice, and none passed over
+    assert steps.max() < 2.5 * 0.05 / 0.25
+    assert (np.abs(turned[-1] - turned[0]) >= 2 * np.pi) is np.bool_(ends == CLOSED)
 
 
 BOTH = "p: {start: -0.6, stop: 0.6, count: 13}, q: {start: -0.5, stop: 1.0, count: 4}"
@@ -178,6 +210,10 @@ def test_curves_of_cycles_of_lorenz84(tmp_path):
     cycles = [KINDS[kind] for kind, n in zip(data["kind"].values, data["period"].values, strict=True) if n]
     assert "fold" in cycles
     assert cycles.count("neimark_sacker") == 4
+    cusps = points["kind"].values == POINTS.index("cusp")  # where folds of cycles leave the section there is none
+    assert set(data["period"].values[points["curve"].values[cusps]].tolist()) == {0}
+    for k in np.flatnonzero((data["kind"].values == KINDS.index("fold")) & (data["period"].values == 1)):
+        assert sorted(ENDS[int(data[end][k])] for end in ("begins", "ends")) == ["no_convergence", "range"]
     third = np.flatnonzero(points["kind"].values == POINTS.index("resonance_1_3"))
     assert len(third) == 2
     for name, sign in (("f", 1.0), ("tau", -1.0)):

@@ -46,6 +46,13 @@ def points(data, curve, names):
     return values[known], errors[known]
 
 
+def misses_at(values, errors, k, exact):
+    """How far the first parameter is from its exact value beyond the errors: the second's counts by the curve's slope."""
+    near = slice(max(k - 1, 0), k + 2)
+    slope = np.abs(np.ptp(values[near, 0]) / np.ptp(values[near, 1]))
+    return abs(values[k, 0] - exact) - errors[k, 0] - slope * errors[k, 1]
+
+
 @pytest.mark.usefixtures("uncalibrated")
 def test_fronts(tmp_path):
     """From saddles that Newton finds in the box and from nothing else: c = (1 − 2a)/√2, a front and the one back."""
@@ -92,13 +99,68 @@ def test_a_saddle_focus(tmp_path):
         assert np.allclose(one["eigenvalues"].values[:, 0, 0], largest, rtol=1e-8)
         assert np.array_equal(one["shilnikov"].values == 1, largest > values[:, 0])
         assert np.isfinite(index).all()
-        for (a, b), error in list(zip(values, errors, strict=True))[::8]:
+        for k in range(0, len(values), 8):
+            a, b = values[k].tolist()
 
             def side(value, b=b):
                 rhs = connections.arneodo(value, b)["rhs"]
                 return connections.side(rhs, [[0, 1, 0], [0, 0, 1], [1, -b, -value]], 60.0)
 
-            assert abs(connections.located(side, a - 1e-4, a + 1e-4, 36) - a) <= 20.0 * error.sum() + 1e-10
+            exact = connections.located(side, a - 1e-4, a + 1e-4, 36)
+            # An error of b counts by the slope of the curve; the path begins 1e-7 beside the manifold, by its square.
+            assert misses_at(values, errors, k, exact) <= 1e-12
+
+
+FITZHUGH = "{box: {u: [-0.4, 1.1], v: [-0.3, 0.3], w: [-0.05, 0.15]}, n_starts: 8, n_values: 1, duration: 150, STEPS}"
+
+
+@pytest.mark.usefixtures("uncalibrated")
+def test_a_pulse_of_fitzhugh_and_nagumo(tmp_path):
+    """The fast pulse, which in its tail parts from its neighbours beyond the digits of c."""
+    options = FITZHUGH.replace("STEPS", "ds_max: 0.1, max_steps: 2")
+    sweep = "{c: {values: [0.5, 0.55]}, a: {values: [0.1, 0.15]}}"
+    data = result_of(tmp_path, connections.fitzhugh, "{u: 0.1}", sweep, options)["homoclinic"].to_dataset()
+    values, errors = points(data, 0, ("c", "a"))
+    begun = np.argmin(np.abs(values[:, 1] - 0.1))
+    slope = np.divide(*np.diff(values, axis=0)[0])  # of the curve, as an orbit is known across it and not at 0.1
+    exact = connections.FITZHUGH + slope * (values[begun, 1] - 0.1)
+    assert misses_at(values, errors, begun, exact) <= 1e-12  # of DOP853
+    assert errors.max() < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("uncalibrated")
+def test_pulses_of_fitzhugh_and_nagumo(tmp_path):
+    """The slow and the fast one at a = 0.1: the side of the first return changes within the error, by DOP853.
+
+    Eigenvalues are those of a saddle-focus by Shilnikov: there are orbits of two pulses as well, 1e-9 beside, to which a
+    bisection from further away may come.
+    """
+    options = FITZHUGH.replace("STEPS", "ds_max: 0.1, max_steps: 40")
+    sweep = "{c: {start: 0.2, stop: 0.8, count: 7}, a: {values: [0.1, 0.15]}}"
+    groups = result_of(tmp_path, connections.fitzhugh, "{u: 0.1}", sweep, options)
+    data, u = groups["homoclinic"].to_dataset(), groups["connecting_orbits"]["u_points"].values
+    assert np.all(data["shilnikov"].values[:, 0] == 1)
+    begun = list[float]()
+    for curve in range(data.sizes["curve"]):
+        values, errors = points(data, curve, ("c", "a"))
+        tops = (
+            (u[curve, 0, 1:-1] > u[curve, 0, :-2]) & (u[curve, 0, 1:-1] > u[curve, 0, 2:]) & (u[curve, 0, 1:-1] > 0.2)
+        )
+        if tops.sum() > 1:
+            continue
+        k = int(np.argmin(np.abs(values[:, 1] - 0.1)))
+        c, a = values[k].tolist()
+
+        def side(value, a=a):
+            jacobian = [[0, 1, 0], [a, value, 1], [0.005 / value, 0, 0]]
+            return connections.side(connections.fitzhugh(value, a)["rhs"], jacobian, 150.0)
+
+        covered = -misses_at(values, errors, k, c) + 1e-12  # of DOP853
+        assert covered < 1e-10
+        assert side(c - covered) != side(c + covered)
+        begun.append(c)
+    assert sorted(begun) == pytest.approx([0.29131122, connections.FITZHUGH], abs=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,44 @@ def arneodo(a=0.6, b=0.7):
     return {"rhs": rhs, "coordinates": ("x", "v", "w")}
 
 
+SANDSTEDE = {"mt": 0.0, "a": 0.0, "b": 1.0, "c": -2.0, "alpha": 1.0, "beta": 1.0, "gamma": 0.0}
+
+
+def sandstede(mt=0.0, a=0.0, b=1.0, c=-2.0, alpha=1.0, beta=1.0, gamma=0.0, mu=0.0):
+    """Sandstede's flow (J. Dynam. Differential Equations 9 (1997) 269): at mt = mu = 0, |a| < b, the loop x²(1 − x) = y²
+    in z = 0 is homoclinic to the origin, whose eigenvalues are a + b, a − b and c."""
+
+    def rhs(state, time):
+        x, y, z = state
+        push = mt - alpha * z
+        return (
+            a * x + b * y - a * x * x + push * x * (2.0 - 3.0 * x),
+            b * x + a * y - 1.5 * b * x * x - 1.5 * a * x * y - 2.0 * push * y,
+            c * z + mu * x + gamma * x * z + alpha * beta * (x * x * (1.0 - x) - y * y),
+        )
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+
+
+def flips(a=0.0, q=1.0, kappa=0.5, drive=1.0, feed=0.0, sign=1.0):
+    """The pulse x″ = x − x² with a third direction of rate κ < 1: the orbit flips at q = 1/(1 − κ²) where the pulse drives
+    it (drive, no feed), the inclination at q = 2/(1 − κ²) where it feeds the pulse.
+
+    With x = 3/2 sech²(t/2), z ~ e^(−κt) ∫ e^(κt) (x − q x²), and ψ_z ~ e^(κt) ∫ e^(−κt) (1 − q x) x′ of the adjoint
+    solution (−x″, x′, ψ_z); x² = x − x″ leaves ∫ e^(κt) x alone. With sign −1 time goes back.
+    """
+
+    def rhs(y, t):
+        x, v, z = y
+        return (
+            sign * v,
+            sign * (x - x * x + feed * (1.0 - q * x) * z) + a * v,
+            sign * (drive * (x - q * x * x) - kappa * z),
+        )
+
+    return {"rhs": rhs, "coordinates": ("x", "v", "z")}
+
+
 def fitzhugh(c=0.5, a=0.1, eps=0.005):
     """Travelling pulses of FitzHugh's and Nagumo's equations in their frame, of speed c."""
 
@@ -50,6 +88,10 @@ def fitzhugh(c=0.5, a=0.1, eps=0.005):
         return v, c * v + u * (u - a) * (u - 1.0) + w, eps * u / c
 
     return {"rhs": rhs, "coordinates": ("u", "v", "w")}
+
+
+FITZHUGH = 0.517493141087285
+"""c of the fast pulse at a = 0.1, ε = 0.005, by bisection of where the unstable manifold goes, by DOP853."""
 
 
 def side(rhs, jacobian, duration=100.0):

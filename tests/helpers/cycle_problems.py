@@ -13,8 +13,8 @@ from jaxnh.orbits.collocation.fields import point_rates
 from jaxnh.orbits.collocation.paths import path_through
 
 
-def problem_of(flow, names, size, widths=None):
-    """The problem of a flow over parameters by name."""
+def problem_of(flow, names, size, widths=None, others=None):
+    """The problem of a flow over parameters by name, beside others of which lanes have their own."""
     rates = jax.jit(jax.vmap(functools.partial(point_rates, flow, names=names)))
 
     def field(y, t, values):
@@ -23,7 +23,8 @@ def problem_of(flow, names, size, widths=None):
         def padded(x):
             return np.concatenate([x, np.repeat(x[:1], room - len(x), axis=0)])
 
-        p = {name: padded(values[:, k]) for k, name in enumerate(names)}
+        p = {name: np.full(room, value) for name, value in (others or {}).items()}
+        p |= {name: padded(values[:, k]) for k, name in enumerate(names)}
         return FieldValues(*(np.asarray(leaf)[: len(y)] for leaf in rates(padded(y), padded(t), p)))
 
     widths = np.ones(len(names)) if widths is None else np.asarray(widths, float)

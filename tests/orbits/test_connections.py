@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jaxnh.orbits.bifurcations.connection_points import POINTS, leading, special_connections
-from jaxnh.orbits.collocation.connections import connection_near, follow_connections, refined
+from jaxnh.orbits.collocation.connection_meshes import refined
+from jaxnh.orbits.collocation.connections import connection_near, follow_connections
 from jaxnh.orbits.collocation.equations import BoundarySolution
 from jaxnh.orbits.collocation.paths import path_through
 from jaxnh.orbits.continuation.paths import RANGE, StepControl
@@ -15,6 +16,8 @@ from jaxnh.systems.first_order import first_order
 from tests.flows import connections
 from tests.flows.lorenz import PARAMETERS, lorenz
 from tests.helpers.cycle_problems import problem_of
+
+SHAPE = ("alpha", "beta", "gamma")
 
 
 def guess_through(times, states, values, n=60):
@@ -52,10 +55,11 @@ def test_lorenz_over_two_parameters():
     """ρ = 13.926557407520 at σ = 10, and the ends of the curve by bisection; the saddle's eigenvalues in closed form."""
     problem, begun, curve = lorenz_curve()
     assert begun.values[1] == 10.0
-    assert abs(begun.values[0] - connections.LORENZ) <= refined(problem, begun)[1][0] < 1e-9
+    finer, error, _ = refined(problem, begun)
+    assert abs(finer.values[0] - connections.LORENZ) <= error.sum() < 1e-10  # the curve's slope is below one there
     assert curve.ends == (RANGE, RANGE)
     for orbit in (curve.stretches[0].points[0], curve.stretches[-1].points[-1]):
-        finer, error = refined(problem, orbit)
+        finer, error, _ = refined(problem, orbit)
         rho, sigma = finer.values
         assert min(abs(sigma - 8.0), abs(sigma - 12.0)) < 1e-9
         assert abs(lorenz_by_shooting(sigma, rho) - rho) <= error[0] + 1e-11  # of the bisection
@@ -102,10 +106,57 @@ def test_fronts_in_closed_form():
     curve = follow_connections(problem, begun, np.array([0.0, 0.1]), np.array([1.0, 0.5]), StepControl(0.1, 100))
     assert curve.ends == (RANGE, RANGE)
     for orbit in points_of(curve):
-        finer, error = refined(problem, orbit)
+        finer, error, _ = refined(problem, orbit)
         c, a = finer.values
         assert abs(c - (1 - 2 * a) / np.sqrt(2)) <= error.sum()
         assert error.max() < 1e-8
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("name", "drive", "exact"), [("orbit_flip", 1.0, 1.0), ("inclination_flip", 0.0, 2.0)])
+def test_flips_in_closed_form(name, drive, exact, sign):
+    """The one flip along the line a = 0, within its error; where a share is zero all along there is none."""
+
+    def define(a, q, kappa=0.4):
+        return connections.flips(a, q, kappa, drive, 1.0 - drive, sign)
+
+    problem = problem_of(first_order(define, {"a": 0.0, "q": 1.0}, ("a", "q")), ("a", "q"), (1.5, 0.6, 3.0), (1.0, 2.0))
+    times = np.linspace(-12.0, 12.0, 200)
+    x = 1.5 / np.cosh(times / 2) ** 2
+    states = np.stack([x, -sign * x * np.tanh(times / 2), 0 * x], axis=1)
+    begun = connection_near(problem, guess_through(times, states, (0.05, 1.5)), np.zeros(3), np.zeros(3))
+    curve = follow_connections(problem, begun, np.array([-0.5, 0.5]), np.array([0.5, 3.0]), StepControl(0.1, 40))
+    assert curve.ends == (RANGE, RANGE)
+    [(_, point)] = special_connections(problem, curve)
+    assert POINTS[point.kind] == f"{name}_{'stable' if sign > 0 else 'unstable'}"
+    assert np.all(np.abs(point.values - [0.0, exact / (1 - 0.4**2)]) <= point.error)
+    assert point.error.max() < 1e-6
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(12, marks=pytest.mark.slow)])
+def test_errors_cover_closed_forms(count):
+    """Of Sandstede's loops at random parameters, and of their neutral saddles; and none is hundreds of times too large."""
+    rng, rows, special = np.random.default_rng(5), [], []
+    flow = first_order(connections.sandstede, connections.SANDSTEDE)
+    for _ in range(count):
+        b = rng.uniform(0.6, 1.5)
+        own = {"b": b, "c": -b * rng.uniform(0.4, 1.8)} | dict(zip(SHAPE, rng.uniform(-1.0, 1.0, 3), strict=True))
+        problem = problem_of(flow, ("mt", "a"), (0.5, 0.4, 0.4), (1.0, b), own)
+        times = np.linspace(-12.0 / b, 12.0 / b, 200)
+        x = 1.0 / np.cosh(b * times / 2) ** 2
+        guess = guess_through(times, np.stack([x, -x * np.tanh(b * times / 2), 0 * x], axis=1), (0.02, 0.1 * b))
+        begun = connection_near(problem, guess, np.zeros(3), np.zeros(3))
+        low, high = np.array([-0.5, -0.6 * b]), np.array([0.5, 0.6 * b])
+        curve = follow_connections(problem, begun, low, high, StepControl(0.2, 40))
+        finer = [refined(problem, point) for point in points_of(curve)]
+        rows += [(abs(one.orbit.values[0]), one.error[0]) for one in finer]
+        [(_, point)] = special_connections(problem, curve)
+        assert POINTS[point.kind] == "neutral_saddle"
+        exact = 0.0 if own["c"] < -b else -b - own["c"]
+        special += [*zip(np.abs(point.values - [0.0, exact]), point.error, strict=True)]
+    for misses, errors in (np.array(rows).T, np.array(special).T):
+        assert np.mean(misses <= errors) >= 0.95
+        assert np.median(errors) < 100.0 * np.quantile(misses, 0.95)
 
 
 def test_what_is_near_no_orbit():

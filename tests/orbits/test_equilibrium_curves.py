@@ -18,26 +18,28 @@ from jaxnh.analyses.continuation.equilibria import section_plane
 from jaxnh.analyses.continuation.equilibrium_curves import follow_all, linearisations
 from jaxnh.analyses.continuation.families import field_plane, parameter_plane
 from jaxnh.maps.section import Section, begin
-from jaxnh.orbits.bifurcations.codimension_two import POINTS
+from jaxnh.orbits.bifurcations.codimension_two import POINTS, special_points
 from jaxnh.orbits.continuation.curves import CURVE_STEPS, follow_both_ways
 from jaxnh.orbits.continuation.equilibrium_curves import critical_equilibria
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF, KINDS
-from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, ENDS, StepControl
+from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, ENDS, MOST_POINTS, RANGE, StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.helpers.batches import batch_of
 
+SHAPE = {"alpha": 0.25, "g": 0.25, "gamma": 0.987, "delta": 1.04}
 
-def lorenz84(f=2.0, t=0.04):
-    """The extended Lorenz-84 model, α = β/4 = G = 1/4, γ = 0.987, δ = 1.04."""
+
+def lorenz84(f=2.0, t=0.04, alpha=0.25, g=0.25, gamma=0.987, delta=1.04):
+    """The extended Lorenz-84 model, β = 1."""
 
     def rhs(state, time):
         x, y, z, u = state
         return (
-            -y * y - z * z - 0.25 * x + 0.25 * f - 0.987 * u * u,
-            x * y - x * z - y + 0.25,
+            -y * y - z * z - alpha * x + alpha * f - gamma * u * u,
+            x * y - x * z - y + g,
             x * y + x * z - z,
-            -1.04 * u + 0.987 * u * x + t,
+            -delta * u + gamma * u * x + t,
         )
 
     return {"rhs": rhs, "coordinates": ("x", "y", "z", "u")}
@@ -52,14 +54,15 @@ class Problem(NamedTuple):
     section: object
 
 
-def problem(define, low, high, lanes, section=("y", 1, 0.0), normal=None, steps=40):
-    plain = first_order(define, dict(zip(names := tuple(low), low.values(), strict=True)))
+def problem(define, low, high, lanes, section=("y", 1, 0.0), normal=None, steps=40, others=None):
+    names, others = tuple(low), others or {}
+    plain = first_order(define, low | dict.fromkeys(others, 1.0))
     coordinate, number, value = section
     flow = Section(plain, coordinate, number, value, "up", normal)
     d = plain.chart.dimension
     start = begin(flow, plain.start(dict.fromkeys(plain.coordinates, 0.1)))
     batch = batch_of(flow, start, [low[names[0]], high[names[0]]], verner9, steps, name=names[0])
-    batch.p[names[1]] = np.full(2, low[names[1]])
+    batch.p.update({name: np.full(2, value) for name, value in [*others.items(), (names[1], low[names[1]])]})
     ends = names, np.array(list(low.values())), np.array(list(high.values()))
     return Problem(
         batch,
@@ -80,19 +83,19 @@ def curves_from(plane, kind, u, values):
 # ---- Lorenz-84: all kinds of points
 
 
-def conditions(at, names):
+def conditions(at, names, shape=(0.25, 0.25, "0.987", "1.04")):
     """The field and coefficients of the characteristic polynomial of its linearisation, by name, in long double."""
     x, y, z, u, f, t = at
-    quarter, gamma, delta = (np.longdouble(text) for text in ("0.25", "0.987", "1.04"))
+    alpha, g, gamma, delta = (np.longdouble(value) for value in shape)
     field = [
-        -y * y - z * z - quarter * x + quarter * f - gamma * u * u,
-        x * y - x * z - y + quarter,
+        -y * y - z * z - alpha * x + alpha * f - gamma * u * u,
+        x * y - x * z - y + g,
         x * y + x * z - z,
         -delta * u + gamma * u * x + t,
     ]
     matrix = np.array(
         [
-            [-quarter, -2 * y, -2 * z, -2 * gamma * u],
+            [-alpha, -2 * y, -2 * z, -2 * gamma * u],
             [y - z, x - 1, -x, 0],
             [y + z, x, x - 1, 0],
             [gamma * u, 0, 0, gamma * x - delta],
@@ -156,6 +159,33 @@ def test_all_curves_of_lorenz84_from_one_fold(lorenz_curves):
         assert np.abs(exact[:4] - point.point.points[0]).max() < 1e-11
     cusp = next(p for p in lorenz_curves[0].points if POINTS[p.point.kind] == "cusp")
     assert abs(cusp.point.values[1]) <= cusp.error[1]  # u -> -u, t -> -t is a symmetry
+
+
+@pytest.mark.parametrize("count", [1, pytest.param(10, marks=pytest.mark.slow)])
+def test_errors_of_points_at_random_parameters(lanes, lorenz_curves, count):
+    """Of 95 in 100 points the error covers how far the root of the algebraic conditions is; of none it is far too large.
+
+    From a zero–Hopf point, which moves with the other parameters up to a twentieth beside the model's.
+    """
+    known = next(p for p in lorenz_curves[0].points if POINTS[p.point.kind] == "zero_hopf").point
+    rng, base, rows = np.random.default_rng(2), np.array(list(SHAPE.values())), []
+    for _ in range(count):
+        shape, at = base * (1.0 + rng.uniform(-0.05, 0.05, 4)), [*known.points[0], *known.values]
+        for share in (0.25, 0.5, 0.75, 1.0):
+            at = newton(partial(conditions, names="zero_hopf", shape=base + share * (shape - base)), at)
+        others = dict(zip(SHAPE, shape, strict=True))
+        field = problem(
+            lorenz84, {"f": 1.0, "t": -0.1}, {"f": 3.2, "t": 0.1}, lanes, ("y", 1, -0.02), others=others
+        ).field
+        for point in (p for one in curves_from(field, FOLD, at[:4], at[4:]) for p in one.points):
+            name, values = POINTS[point.point.kind], point.point.values
+            if name not in ("cusp", "generalised_hopf"):
+                exact = newton(partial(conditions, names=name, shape=shape), [*point.point.points[0], *values])
+                rows += [*zip(np.abs(exact[4:] - values).astype(float), point.error, strict=True)]
+    misses, errors = np.array(rows).T
+    assert len(rows) >= 20 * count
+    assert np.mean(misses <= errors) >= 0.95
+    assert np.median(errors) < 100.0 * np.quantile(misses, 0.95)
 
 
 def test_hopf_curves_end_at_bogdanov_takens_points(lorenz_curves):
@@ -280,6 +310,35 @@ def test_curves_of_cycles_from_points(lanes, define, names, u, kind, values, nam
         # parameter ten times less well.
         assert misses(define, one.values).max() < 1e-9
         assert len(one.values) > 5
+
+
+def test_folds_of_cycles_that_leave_the_section(lanes):
+    """At y = 0.05, which small cycles do not reach: μ = −β²/4 nearly down to r² = β/2 = 0.05², and no cusp on it."""
+    low, high = (dict.fromkeys(("mu", "beta"), end) for end in PLANE)
+    returns = problem(planar, low, high, lanes, ("y", 1, 0.05)).returns
+    x = np.sqrt(0.1 - 0.05**2)
+    [curve] = follow_both_ways(returns, FOLD, np.array([[[x]]]), np.array([[-0.01, 0.2]]), StepControl(0.05, 100))
+    assert misses(planar, curve.values).max() < 1e-9
+    assert 0.005 < curve.values[:, 1].min() < 0.0055
+    assert ENDS[curve.ends[int(curve.values[0, 1] > 0.1)]] in ("no_return", "no_convergence")
+    assert special_points(returns, curve) == []
+
+
+def test_a_curve_of_equilibria_that_is_cut_is_listed_once(lanes):
+    """Parts of one Hopf curve, cut by `max_steps`, that overlap: μ = 0 from end to end, with its point once."""
+    field = problem(planar, {"mu": PLANE[0], "beta": PLANE[0]}, {"mu": PLANE[1], "beta": PLANE[1]}, lanes).field
+    seeds = []
+    for beta in (-0.3, 0.05, 0.4):
+        u, values = np.zeros((1, 2)), np.array([[0.0, beta]])
+        seeds.append((HOPF, critical_equilibria(field, HOPF, u, values, linearisations(field, u, values))))
+    parts = [one.curve for seed in seeds for one in follow_all(field, [seed], StepControl(0.05, 9))]
+    assert all(MOST_POINTS in part.ends for part in parts)
+    [whole] = follow_all(field, seeds, StepControl(0.05, 9))
+    assert whole.curve.ends == (RANGE, RANGE)
+    assert [POINTS[p.point.kind] for p in whole.points] == ["generalised_hopf"]
+    beta = whole.curve.values[:, 1]
+    assert sorted(beta[[0, -1]]) == pytest.approx(PLANE)
+    assert np.all(np.diff(beta) * (beta[-1] - beta[0]) > 0.0)  # no point twice
 
 
 # ---- Bazykin's predator and prey

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnh.exceptions import ResultError
+from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.panels import PANELS
 from jaxnh.plotting.results import figure
 from tests.helpers.hand_made_results import (
@@ -459,6 +460,26 @@ def test_curves_of_bifurcations_are_named_and_drawn_over_charts():
     drawing = figure(tree({"period": chart, "curves": cusp_curves()}, axes="p q"))
     [ax] = [ax for ax in drawing.axes if ax.get_xlabel().startswith("push")]
     assert sum(len(line.get_xdata()) == 31 for line in ax.lines) == 4  # two curves, with a white edge each
+
+
+@pytest.mark.parametrize(
+    ("group", "made", "dims"),
+    [("curves", cusp_curves, ("curve", "point")), ("codimension_two", cusp_point, ("codimension_two",))],
+)
+def test_a_parameter_named_t_is_no_time(group, made, dims):
+    """Both parameters of curves are on the axes, whatever they are called."""
+    data = made()
+    data = data.rename({name: name.replace("q", "t") for name in data.data_vars if name.split("_")[-1] == "q"})
+    data = data.assign({f"{name}_error": (dims, np.zeros(data[name].shape)) for name in ("p", "t")})
+    data = describe(group, data.drop_attrs(deep=False))
+    assert data.attrs["panel_variables"] == "p t"
+    ax = PANELS[data.attrs["panel"]].draw(data)
+    assert [ax.get_xlabel()[:4], ax.get_ylabel()[:9]] == ["push", "stiffness"]
+
+
+def test_branches_over_a_parameter_named_t():
+    data = cascade_branches().rename(b="t").drop_attrs(deep=False)
+    assert describe("branches", data).attrs["along"] == "t"
 
 
 # ---- windows

@@ -35,6 +35,7 @@ _PASSED = (
     0.15,
 )  # of the largest distance so far: minima of it below are passages; far from a saddle some are none
 _LEAVES = 0.5  # of the distance beyond all bounds that is along the direction of the side, at least
+_SEGMENTS, _APART = 60, 1e-6  # segments between states, at most, and how long they are, in sizes
 _NEAREST = 0.1  # of the largest distance so far, after refinement: others pass no saddle
 _LOOKS, _STEPS_A_LOOK = 16, 4  # states a unit of time, at least, and steps between two of them
 _INTERVALS = 60
@@ -209,9 +210,15 @@ def _paths(
     values: Float[np.ndarray, " lanes"],
 ) -> Float[np.ndarray, "lanes count d"]:
     """States along the manifold from saddles at values of the first parameter; not finite beyond all bounds."""
-    batch, size = shooting.batch, shooting.problem.size
-    first = np.stack([s.state for s in starts]) + _BEGUN * size * np.stack(directions)
-    moved, step = _map_and_step(shooting, manifold.backward)
+    first = np.stack([s.state for s in starts]) + _BEGUN * shooting.problem.size * np.stack(directions)
+    return _paths_from(shooting, manifold.backward, first, values)
+
+
+def _paths_from(
+    shooting: Shooting, backward: bool, first: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]
+) -> Float[np.ndarray, "lanes count d"]:
+    """States along the paths through first ones, which are among them."""
+    batch, (moved, step) = shooting.batch, _map_and_step(shooting, backward)
     p = dict(batch.at_values(values).p)
     count = max(2, round(shooting.duration / step))
     record = shooting.lanes.record(moved, count, (states_at(batch, shooting.lanes, first, _TILE), p), tile=_TILE)
@@ -278,28 +285,13 @@ def _first_difference(one: list[_Passage], other: list[_Passage]) -> int | None:
 
 def _refined(shooting: Shooting, manifold: Manifold, bracket: SideChange) -> ConnectionSeed | None:
     """The path that comes nearest to the saddle between two values, None where it does not come near."""
-    saddles, direction, ends, pulse, passed = bracket
-    best: tuple[float, Float[np.ndarray, "count d"], float, SaddlePoint, SaddlePoint] | None = None
-    for _ in range(_ROUNDS):
-        values = np.linspace(*ends, _FINER + 1)
-        starts, arrivals = (shooting.saddles(saddle.state, values) for saddle in saddles)
-        if not (starts and arrivals):
-            return None
-        paths = _paths(shooting, manifold, starts, _directions(manifold, starts, direction), values)
-        passages = [_passages(shooting, manifold, path, at, passed) for path, at in zip(paths, arrivals, strict=True)]
-        changed = [k for k in range(_FINER) if _first_difference(passages[k], passages[k + 1]) == pulse]
-        if not changed:
-            break
-        for k in (changed[0], changed[0] + 1):
-            passage = passages[k][pulse]
-            if best is None or passage.distance < best[0]:
-                best = passage.distance, paths[k, : passage.place + 1], float(values[k]), starts[k], arrivals[k]
-        if best is not None and best[0] <= _NEAR_ENOUGH:
-            break
-        ends = float(values[changed[0]]), float(values[changed[0] + 1])
-    if best is None or best[0] > _NEAREST:
+    search = _PathSearch(shooting, manifold, bracket)
+    search.between_values()
+    if search.best is not None and search.best.distance > _NEAR_ENOUGH:
+        search.between_states()
+    if search.best is None or search.best.distance > _NEAREST:
         return None
-    _, path, value, first, last = best
+    _, path, value, first, last = search.best
     step = _map_and_step(shooting, manifold.backward)[1]
     turns = path[-1] - last.state - shooting.batch.chart.wrap(path[-1] - last.state)
     near = (first.state, last.state + turns)
@@ -308,3 +300,83 @@ def _refined(shooting: Shooting, manifold: Manifold, bracket: SideChange) -> Con
     guess, duration = path_through(step * np.arange(len(path)), path, _INTERVALS)
     parameters = np.array([[value, shooting.second]])
     return ConnectionSeed(BoundarySolution(guess, np.array([duration]), parameters), *near)
+
+
+class _Nearest(NamedTuple):
+    """The path that has come nearest: its part of the largest distance, states, parameter and saddles."""
+
+    distance: float
+    path: Float[np.ndarray, "count d"]
+    value: float
+    departure: SaddlePoint
+    arrival: SaddlePoint
+
+
+class _PathSearch:
+    """The search for a path that comes near to a saddle between two that pass it on different sides.
+
+    Attributes:
+        best: the nearest path, None before there is one.
+    """
+
+    def __init__(self, shooting: Shooting, manifold: Manifold, bracket: SideChange) -> None:
+        self._shooting, self._manifold, self._bracket = shooting, manifold, bracket
+        self._pair: tuple[_Nearest, _Nearest] | None = None  # next to each other, on different sides
+        self.best: _Nearest | None = None
+
+    def between_values(self) -> None:
+        """Narrow the interval of the parameter, up to rounding."""
+        shooting, (saddles, direction, ends, *_) = self._shooting, self._bracket
+        for _ in range(_ROUNDS):
+            values = np.linspace(*ends, _FINER + 1)
+            starts, arrivals = (shooting.saddles(saddle.state, values) for saddle in saddles)
+            if not (starts and arrivals):
+                self.best = None
+                return
+            directions = _directions(self._manifold, starts, direction)
+            paths = _paths(shooting, self._manifold, starts, directions, values)
+            k = self._look([_Nearest(1.0, *each) for each in zip(paths, values, starts, arrivals, strict=True)])
+            if k is None or self._is_near():
+                return
+            ends = float(values[k]), float(values[k + 1])
+
+    def between_states(self) -> None:
+        """Go on at one value of the parameter, on the segment between two paths where they begin to part.
+
+        Of a direction in which paths part by e^(λt) the digits of the parameter tell nothing after a time of 36/λ. On
+        the segment there is a state whose path stays, as between two states on both sides of an edge.
+        """
+        shooting, size, begun = self._shooting, self._shooting.problem.size, 0
+        for _ in range(_SEGMENTS):
+            assert self._pair is not None
+            first, second = self._pair
+            count = min(len(first.path), len(second.path))
+            with np.errstate(invalid="ignore"):
+                apart = ~(np.abs((second.path[:count] - first.path[:count]) / size).max(axis=1) <= _APART)
+            last = (int(np.argmax(apart)) if apart.any() else count) - 1
+            if last <= begun:
+                return
+            shares = np.linspace(0.0, 1.0, _FINER + 1)[:, None]
+            states = first.path[last] + shares * (second.path[last] - first.path[last])
+            more = _paths_from(shooting, self._manifold.backward, states, np.full(len(states), first.value))
+            paths, begun = [first._replace(path=np.concatenate([first.path[:last], path])) for path in more], last
+            if self._look(paths) is None or self._is_near():
+                return
+
+    def _is_near(self) -> bool:
+        return self.best is not None and self.best.distance <= _NEAR_ENOUGH
+
+    def _look(self, paths: list[_Nearest]) -> int | None:
+        """Number of the path after which sides change, None without; it or the next one may be the nearest."""
+        pulse, passed = self._bracket.pulse, self._bracket.passed
+        passages = [_passages(self._shooting, self._manifold, one.path, one.arrival, passed) for one in paths]
+        changed = [k for k in range(len(paths) - 1) if _first_difference(passages[k], passages[k + 1]) == pulse]
+        if not changed:
+            return None
+        self._pair = paths[changed[0]], paths[changed[0] + 1]
+        for path, passage in zip(
+            self._pair, (passages[changed[0]][pulse], passages[changed[0] + 1][pulse]), strict=True
+        ):
+            if self.best is None or passage.distance < self.best.distance:
+                self.best = path._replace(distance=passage.distance, path=path.path[: passage.place + 1])
+        return changed[0]

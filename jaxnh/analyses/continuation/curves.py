@@ -43,9 +43,10 @@ from jaxnh.maps.section import Section
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special, special_points
 from jaxnh.orbits.bifurcations.curve_errors import errors_of_points, errors_of_special, refine_curve
 from jaxnh.orbits.bifurcations.equilibrium_forms import COUNT, TERMS
-from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, follow_both_ways, join_unknowns
+from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, follow_both_ways, join_curves, join_unknowns
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, KINDS, NEIMARK_SACKER
 from jaxnh.orbits.continuation.paths import ENDS, STEPS
+from jaxnh.orbits.continuation.tracks import nearest
 
 _OWN_NAMES = (
     "curve", "point", "codimension_two", "multiplier", "part", "kind", "period", "multipliers", "begins", "ends",
@@ -172,13 +173,13 @@ def _of_orbits(
             if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)
         ]
         with lanes.stage(f"curves: from {len(seeds)} bifurcations at {second} = {value:g}", 0):
-            curves += _follow_curves(plane, curves, seeds, options)
+            curves = _follow_curves(plane, curves, seeds, options)
     if still is not None and isinstance(batches[0].system, Section):
         points = [pair for one in still.curves for pair in zip(one.points, one.forms, strict=True)]
         with lanes.stage("curves: of cycles from points of codimension two of equilibria", 0):
             starts = cycle_seeds(still.plane, plane, section_plane(batches[0].system), points)
             seeds = [_Seed(start.kind, start.points, start.values) for start in starts]
-            curves += _follow_curves(plane, curves, seeds, options)
+            curves = _follow_curves(plane, curves, seeds, options)
     curves.sort(key=lambda curve: (curve.period, curve.kind))
     with lanes.stage(f"curves: errors of {len(curves)}", 0):
         again = [[refine_curve(other, curve) for other in others] for curve in curves]
@@ -208,8 +209,8 @@ def _lanes_at(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
 def _follow_curves(
     plane: ParameterPlane, there: Sequence[Curve], seeds: Sequence[_Seed], options: CurvesOptions
 ) -> list[Curve]:
-    """The curves through bifurcations that are on none yet, each once."""
-    new = list[Curve]()
+    """All curves, those through bifurcations that are on none yet among them, each once."""
+    curves = list(there)
     for kind, n in sorted({(seed.kind, len(seed.points)) for seed in seeds}):
         mine = [seed for seed in seeds if (seed.kind, len(seed.points)) == (kind, n)]
         mine = [seed for seed in mine if not any(_passes(plane, curve, seed) for curve in there)]
@@ -218,25 +219,30 @@ def _follow_curves(
             for seed, curve in zip(
                 mine, follow_both_ways(plane, kind, points, values, step_control(options)), strict=True
             ):
-                if curve is not None and not any(_passes(plane, other, seed) for other in new):
-                    new.append(curve)
-    return new
+                if curve is not None and not any(_passes(plane, other, seed) for other in curves):
+                    curves = _with_curve(plane, curves, curve)
+    return curves
+
+
+def _with_curve(plane: ParameterPlane, curves: Sequence[Curve], curve: Curve) -> list[Curve]:
+    """The curves and another one, which those that were cut on it are joined to."""
+    apart = list[Curve]()
+    for other in curves:
+        whole = join_curves(plane, other, curve, _NEAR)
+        curve, more = (curve, [other]) if whole is None else (whole, [])
+        apart += more
+    return [*apart, curve]
 
 
 def _passes(plane: ParameterPlane, curve: Curve, seed: _Seed) -> bool:
     """Return whether a curve goes through a bifurcation, whichever of the orbit's points comes first."""
     if curve.kind != seed.kind or curve.period != len(seed.points):
         return False
-    track = curve.track.z
-    begun, chord = track[:-1], np.diff(track, axis=0)
-    length = np.sum(chord**2, axis=1)
-    length = np.where(length > 0, length, 1.0)  # two equal points of a track are one
-    for m in range(curve.period):
-        [z] = join_unknowns(plane, np.roll(seed.points, m, 0)[None], seed.values[None])
-        share = np.clip(np.sum((z - begun) * chord, axis=1) / length, 0.0, 1.0)
-        if np.linalg.norm(begun + share[:, None] * chord - z, axis=1).min(initial=np.inf) <= _NEAR:
-            return True
-    return False
+    turned = (np.roll(seed.points, m, 0)[None] for m in range(curve.period))
+    return any(
+        nearest(curve.track.z, curve.track.way, join_unknowns(plane, points, seed.values[None])[0]).distance <= _NEAR
+        for points in turned
+    )
 
 
 # ---- the dataset

@@ -33,6 +33,7 @@ from jaxnh.orbits.continuation.equilibrium_curves import (
     FieldPlane,
     critical_equilibria,
     follow_curves,
+    join_curves,
     passes,
 )
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF
@@ -133,8 +134,13 @@ def follow_all(
         [curve] = follow_curves(plane, kind, at, steps)
         if curve is None:
             continue
+        apart = list[EquilibriumCurve]()
+        for other in curves:
+            whole = join_curves(plane, other.curve, curve, _NEAR)  # where it was cut on this one
+            curve, more = (curve, [other]) if whole is None else (whole, [])
+            apart += more
         points = equilibrium_points(plane, curve)
         curve = ended_at_points(plane, curve, points)
-        curves.append(EquilibriumCurve(curve, points, [normal_form(plane, point) for point in points]))
+        curves = [*apart, EquilibriumCurve(curve, points, [normal_form(plane, point) for point in points])]
         queue += [other for point in points for other in other_curves(plane, kind, point)]
     return curves

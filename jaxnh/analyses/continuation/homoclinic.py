@@ -41,13 +41,8 @@ from jaxnh.orbits.bifurcations.connection_points import (
     leading,
     special_connections,
 )
-from jaxnh.orbits.collocation.connections import (
-    Connection,
-    ConnectionCurve,
-    connection_near,
-    follow_connections,
-    refined,
-)
+from jaxnh.orbits.collocation.connection_meshes import Connection, refined
+from jaxnh.orbits.collocation.connections import ConnectionCurve, connection_near, follow_connections
 from jaxnh.orbits.collocation.equations import Problem
 from jaxnh.orbits.collocation.paths import values_at
 from jaxnh.orbits.continuation.paths import ENDS
@@ -199,8 +194,8 @@ def _with_errors(problem: Problem, curve: ConnectionCurve) -> FollowedConnection
     points, errors = list[Connection](), list[np.ndarray]()
     for point in coarse:
         finer = refined(problem, point)
-        points.append(point if finer is None else finer[0])
-        errors.append(np.full(2, np.nan) if finer is None else finer[1])
+        points.append(point if finer is None else finer.orbit)
+        errors.append(np.full(2, np.nan) if finer is None else finer.error)
     homoclinic = _kind(coarse[0]) == 0 if coarse else False
     special = [one for _, one in special_connections(problem, curve)] if homoclinic else []
     return FollowedConnections(points, np.reshape(errors, (-1, 2)), curve.ends, special)

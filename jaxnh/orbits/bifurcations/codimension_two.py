@@ -26,6 +26,7 @@ from jaxnh.orbits.continuation.curves import (
     test_function,
 )
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
+from jaxnh.orbits.continuation.tracks import across_chord
 from jaxnh.orbits.multipliers import angle_cosine, multipliers
 
 POINTS = (
@@ -174,15 +175,9 @@ def _locate(
 ) -> Solution | None:
     """The point of a curve between two of its own where a test function is zero; None where it is infinite."""
     track = curve.track.take(slice(place, place + 2))
-    chord = track.z[1:] - track.z[:1]
-    length = np.linalg.norm(chord, axis=1, keepdims=True)
-    first, second = (length * track.way[k : k + 1] for k in (0, 1))
 
     def at(s: float) -> Solution:
-        left = 1.0 - s
-        z = track.z[:1] + s * s * (3.0 - 2.0 * s) * chord + s * left**2 * first - s * s * left * second
-        z += (s - np.sum((z - track.z[:1]) * chord) / np.sum(chord**2)) * chord  # onto the hyperplane of the share
-        return correct(plane, curve.kind, z, chord / length)
+        return correct(plane, curve.kind, *across_chord(track.z, track.way, np.array([s])))
 
     (low, high), (below, above) = (0.0, 1.0), ends
     value, before = ends[0], 0

@@ -1,41 +1,50 @@
 """Points of codimension two on curves of homoclinic orbits, and what the eigenvalues of the saddle tell. Host code.
 
-Test functions of the leading eigenvalues and of the directions in which an orbit leaves and comes back (Champneys and
-Kuznetsov, Int. J. Bifurcation Chaos 4 (1994) 785). Zeros are located on the curve by false position.
+Test functions of the leading eigenvalues, of the directions in which an orbit leaves and comes back, and of those of
+the adjoint solution (Champneys and Kuznetsov, Int. J. Bifurcation Chaos 4 (1994) 785). Zeros are located on the curve
+by false position.
 """
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxnh.orbits.collocation.connections import Connection, ConnectionCurve, Stretch, refined
+from jaxnh.orbits.collocation.adjoint import adjoint_solution
+from jaxnh.orbits.collocation.connection_meshes import Connection, refined
+from jaxnh.orbits.collocation.connections import ConnectionCurve, Stretch
 from jaxnh.orbits.collocation.equations import Problem
 from jaxnh.orbits.collocation.homoclinic import SaddlePoint
 
 POINTS = (
     "neutral_saddle", "neutral_saddle_focus", "neutral_bi_focus", "double_real_stable", "double_real_unstable",
     "three_leading_stable", "three_leading_unstable", "neutrally_divergent_stable", "neutrally_divergent_unstable",
-    "orbit_flip_stable", "orbit_flip_unstable",
+    "orbit_flip_stable", "orbit_flip_unstable", "inclination_flip_stable", "inclination_flip_unstable",
 )  # fmt: skip
 """Points of codimension two by number.
 
 The saddle quantity is zero with real leading eigenvalues, and with complex ones, where Shilnikov's condition changes;
 two leading eigenvalues of one side meet, or a pair and a real one have the same real part; the real leading eigenvalue
-and the pair of the other side have no sum; the orbit goes along another eigenvector than the leading one.
+and the pair of the other side have no sum; the orbit goes along another eigenvector than the leading one; the adjoint
+solution does, so that the stable or unstable manifold comes back along itself with another orientation beyond.
 """
 
 TYPES = ("saddle", "saddle_focus", "bi_focus")
 """Saddles by how many of both leading eigenvalues are complex."""
 
-_SADDLE, _DOUBLE, _DIVERGENCE, _FLIP = range(4)
-_TESTS = ((_SADDLE, 0), (_DOUBLE, 0), (_DOUBLE, 1), (_DIVERGENCE, 0), (_DIVERGENCE, 1), (_FLIP, 0), (_FLIP, 1))
+_SADDLE, _DOUBLE, _DIVERGENCE, _ORBIT, _INCLINATION = range(5)
+_TESTS = ((_SADDLE, 0), *((kind, side) for kind in (_DOUBLE, _DIVERGENCE, _ORBIT, _INCLINATION) for side in (0, 1)))
+_NOISE = 1e-6  # of test functions of orbits in sizes: 1e-13 at their ends, where they are 1e-5 from the saddle
 _SECANTS = 60
 _KNOWN = 1e-13  # of the way between two points
 _DIFFERENCE = 1e-4  # likewise, for slopes
+_SECOND_ORDER = 0.1  # of what refinement changes
+_ROUNDINGS = 16 * np.finfo(float).eps
 _JUMP = 0.2  # of the smaller of both values of a test function: what is no smaller at its zero is a jump
 
 
@@ -85,15 +94,37 @@ def leading(saddle: SaddlePoint) -> Leading:
     return Leading(values[real < 0.0], values[real > 0.0][::-1])
 
 
+class _Orbit(NamedTuple):
+    """An orbit, and the shares of its ends and of the adjoint solution's in leading directions, stable side first.
+
+    Attributes:
+        point: the orbit.
+        eigenvalues: of its saddle.
+        left, right: leading left and right eigenvectors, real ones alone, (2, d).
+        ends: gaps from the saddle of the side where the orbit goes along its direction, in sizes, (2, d).
+        adjoint: the adjoint solution where it goes along the left eigenvector, (2, d).
+        normal: its mean product with the field's derivatives in the parameters, across the curve, (2,).
+    """
+
+    point: Connection
+    eigenvalues: Leading
+    left: Float[np.ndarray, "2 d"]
+    right: Float[np.ndarray, "2 d"]
+    ends: Float[np.ndarray, "2 d"]
+    adjoint: Float[np.ndarray, "2 d"]
+    normal: Float[np.ndarray, " 2"]
+
+
 def special_connections(problem: Problem, curve: ConnectionCurve) -> list[tuple[int, SpecialConnection]]:
     """Points of codimension two on a curve of homoclinic orbits, each with the number of its stretch."""
     special = list[tuple[int, SpecialConnection]]()
     for number, stretch in enumerate(curve.stretches):
-        for k in range(len(stretch.points) - 1):
-            one, other = stretch.points[k : k + 2]
+        orbits = [_orbit(problem, point) for point in stretch.points]
+        for k, (one, other) in enumerate(itertools.pairwise(orbits)):
             for test in _TESTS:
                 ends = _test(test, one, one), _test(test, other, one)
-                if np.isfinite(ends).all() and ends[0] * ends[1] < 0.0:
+                least = _NOISE if test[0] in (_ORBIT, _INCLINATION) else 0.0
+                if np.isfinite(ends).all() and ends[0] * ends[1] < 0.0 and min(map(abs, ends)) > least:
                     point = _locate(problem, stretch, k, test, ends)
                     if point is not None:
                         special.append((number, point))
@@ -103,13 +134,30 @@ def special_connections(problem: Problem, curve: ConnectionCurve) -> list[tuple[
 # ---- test functions
 
 
-def _test(test: tuple[int, int], point: Connection, reference: Connection) -> float:
-    """A test function at an orbit, with the direction of eigenvectors as at a reference; not a number where none is."""
+def _orbit(problem: Problem, point: Connection) -> _Orbit:
+    """An orbit with its directions; the adjoint solution is not a number where no test asks for it."""
+    eigenvalues, saddles = leading(point.departure), (point.arrival, point.departure)
+    left = np.stack([_eigenvector(saddles[side].jacobian.T, eigenvalues[side][0]) for side in (0, 1)])
+    right = np.stack([_eigenvector(saddles[1 - side].jacobian, eigenvalues[side][0]) for side in (0, 1)])
+    path = point.solution.path
+    ends = np.stack([path.ends[0, end] - saddle.state for end, saddle in zip((-1, 0), saddles, strict=True)])
+    adjoint, normal = np.full_like(left, np.nan), np.full(2, np.nan)
+    if any(len(side) > 1 and not side[0].imag for side in eigenvalues):
+        with contextlib.suppress(np.linalg.LinAlgError):
+            psi, normal = adjoint_solution(problem, point.solution, point.departure, point.arrival)
+            adjoint = psi[[0, -1]]
+    return _Orbit(point, eigenvalues, left, right, ends / problem.size, adjoint, normal)
+
+
+def _test(test: tuple[int, int], orbit: _Orbit, reference: _Orbit) -> float:
+    """A test function at an orbit, with directions as at a reference; not a number where there is none.
+
+    Shares of ends in leading directions fall with the duration by an exponential, which is taken out of them.
+    """
     kind, side = test
-    eigenvalues = leading(point.departure)
+    own, beyond = orbit.eigenvalues[side], orbit.eigenvalues[1 - side]
     if kind == _SADDLE:
-        return eigenvalues.saddle_quantity
-    own, beyond = eigenvalues[side], eigenvalues[1 - side]
+        return orbit.eigenvalues.saddle_quantity
     if kind == _DOUBLE:
         if len(own) < 2:
             return np.nan
@@ -119,18 +167,24 @@ def _test(test: tuple[int, int], point: Connection, reference: Connection) -> fl
         return float(beyond[0].real + 2.0 * own[0].real) if own[0].imag and not beyond[0].imag else np.nan
     if len(own) < 2 or own[0].imag:
         return np.nan
-    saddle = (point.arrival, point.departure)[side]
-    gap = point.solution.path.ends[0, -1 if side == 0 else 0] - saddle.state
-    direction, before = (_left_vector(end, side) for end in (saddle, (reference.arrival, reference.departure)[side]))
-    sign = 1.0 if direction @ before >= 0.0 else -1.0
-    scaled = gap / np.abs(gap).max()
-    return float(sign * (direction @ scaled))
+    growth = _growth(orbit, side)
+    if kind == _ORBIT:
+        return float(
+            np.copysign(growth, orbit.left[side] @ reference.left[side]) * (orbit.left[side] @ orbit.ends[side])
+        )
+    sign = (orbit.right[side] @ reference.right[side]) * (orbit.normal @ reference.normal)
+    return float(np.copysign(growth, sign) * (orbit.right[side] @ orbit.adjoint[side]))
 
 
-def _left_vector(saddle: SaddlePoint, side: int) -> Float[np.ndarray, " d"]:
-    """The left eigenvector of the leading eigenvalue of a side, of length one."""
-    values, vectors = np.linalg.eig(saddle.jacobian.T)
-    vector = np.real(vectors[:, np.argmin(np.abs(values - leading(saddle)[side][0]))])
+def _growth(orbit: _Orbit, side: int) -> float:
+    """The exponential by which shares in the leading direction fall from the middle of the orbit to an end."""
+    return float(np.exp(0.5 * abs(orbit.eigenvalues[side][0].real) * orbit.point.solution.duration[0]))
+
+
+def _eigenvector(matrix: Float[np.ndarray, "d d"], value: complex) -> Float[np.ndarray, " d"]:
+    """The eigenvector of an eigenvalue, real part, of length one."""
+    values, vectors = np.linalg.eig(matrix)
+    vector = np.real(vectors[:, np.argmin(np.abs(values - value))])
     return vector / np.linalg.norm(vector)
 
 
@@ -141,7 +195,8 @@ def _kind_of(test: tuple[int, int], point: Connection, jumps: bool) -> int:
     words = {
         _DOUBLE: "three_leading" if jumps else "double_real",
         _DIVERGENCE: "neutrally_divergent",
-        _FLIP: "orbit_flip",
+        _ORBIT: "orbit_flip",
+        _INCLINATION: "inclination_flip",
     }
     return POINTS.index(f"{words[kind]}_{('stable', 'unstable')[side]}")
 
@@ -153,11 +208,11 @@ def _locate(
     problem: Problem, stretch: Stretch, k: int, test: tuple[int, int], ends: tuple[float, float]
 ) -> SpecialConnection | None:
     """The zero of a test function between two points of a stretch, on the mesh and on a finer one."""
-    reference = stretch.points[k]
+    reference = _orbit(problem, stretch.points[k])
 
     def at(share: float) -> tuple[float, Connection | None]:
         point = stretch.between(k, share)
-        return (np.nan if point is None else _test(test, point, reference)), point
+        return (np.nan if point is None else _test(test, _orbit(problem, point), reference)), point
 
     share = _false_position(lambda s: at(s)[0], ends)
     value, point = at(share) if share is not None else (np.nan, None)
@@ -169,15 +224,42 @@ def _locate(
     finer = refined(problem, point)
     if finer is None:
         return None
-    exact, error = finer
+    exact, error, longer = finer
     (low, before), (high, after) = (at(share + step) for step in (-_DIFFERENCE, _DIFFERENCE))
     if before is None or after is None:
         return None
-    change = (after.values - before.values) / (2.0 * _DIFFERENCE)
-    further = 0.0 if jumps or high == low else -_test(test, exact, reference) / (high - low) * 2.0 * _DIFFERENCE
+    change, slope = (after.values - before.values) / (2.0 * _DIFFERENCE), (high - low) / (2.0 * _DIFFERENCE)
+    orbit = _orbit(problem, exact)
+    further = 0.0 if jumps or slope == 0.0 else -_test(test, orbit, reference) / slope
+    uncertain = abs(further) * _remainder(test, orbit, longer)
+    if slope != 0.0 and not jumps:
+        uncertain += _rounding(test, orbit) / abs(slope)
     return SpecialConnection(
-        _kind_of(test, point, jumps), exact.values + further * change, error + np.abs(further * change), exact
+        _kind_of(test, point, jumps), exact.values + further * change, error + np.abs(uncertain * change), exact
     )
+
+
+def _remainder(test: tuple[int, int], orbit: _Orbit, longer: float) -> float:
+    """Error of a test function on the refined orbit, of what refinement has changed.
+
+    Those of eigenvalues are exact at the parameters, and what is left is of second order. Shares in the leading
+    direction come to their limits as the next direction and second orders do against it.
+    """
+    kind, side = test
+    if kind not in (_ORBIT, _INCLINATION):
+        return _SECOND_ORDER
+    first, second = np.abs(np.real(orbit.eigenvalues[side][:2]))
+    left = np.exp(-min(second - first, first) * longer)
+    return float(left / (1.0 - left)) + _SECOND_ORDER
+
+
+def _rounding(test: tuple[int, int], orbit: _Orbit) -> float:
+    """Rounding of a test function: of eigenvalues, or of states where shares are taken."""
+    kind, side = test
+    if kind in (_ORBIT, _INCLINATION):
+        return _ROUNDINGS * _growth(orbit, side)
+    largest = float(np.abs(orbit.point.departure.jacobian).max())
+    return _ROUNDINGS * (largest**2 if kind == _DOUBLE else largest)
 
 
 def _false_position(value: Callable[[float], float], ends: tuple[float, float]) -> float | None:

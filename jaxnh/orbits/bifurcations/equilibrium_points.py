@@ -37,6 +37,7 @@ from jaxnh.orbits.continuation.equilibrium_curves import (
 )
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF
 from jaxnh.orbits.continuation.paths import concatenated
+from jaxnh.orbits.continuation.tracks import across_chord
 
 _ROUNDS = 16
 _NARROWER = 64  # from round to round, where the polynomial has a sharp root
@@ -217,11 +218,4 @@ def _locate(plane: FieldPlane, curve: Curve, kind: int, test: TestFunction, plac
 
 def _at_shares(plane: FieldPlane, kind: int, track: Solution, shares: Float[np.ndarray, " lanes"]) -> Solution:
     """Points of a curve in the hyperplanes across the chord between two of its own, at shares of it."""
-    chord = track.z[1] - track.z[0]
-    length, s = np.linalg.norm(chord), shares[:, None]
-    first, second = length * track.way
-    left = 1.0 - s
-    z = track.z[0] + s * s * (3.0 - 2.0 * s) * chord + s * left**2 * first - s * s * left * second
-    z += (s - ((z - track.z[0]) @ chord)[:, None] / length**2) * chord
-    across = np.tile(chord / length, (len(shares), 1))
-    return core.correct(EigenvectorEquations(plane, kind), z, across, FINE)
+    return core.correct(EigenvectorEquations(plane, kind), *across_chord(track.z, track.way, shares), FINE)

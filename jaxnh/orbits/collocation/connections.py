@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnh.exceptions import InputError
+from jaxnh.orbits.collocation.connection_meshes import MOST_INTERVALS, Connection, adapted, with_own_saddles
 from jaxnh.orbits.collocation.equations import (
     BoundarySolution,
     NewtonSystem,
@@ -27,40 +28,16 @@ from jaxnh.orbits.collocation.equations import (
     orthonormal,
     phase_condition,
 )
-from jaxnh.orbits.collocation.homoclinic import SaddlePoint, hold_duration, projections, saddle_at, with_ends
-from jaxnh.orbits.collocation.newton import correct, on_adapted_mesh, remeshed
-from jaxnh.orbits.collocation.paths import PiecewisePath, halved, on_mesh
+from jaxnh.orbits.collocation.homoclinic import hold_duration, projections, saddle_at
+from jaxnh.orbits.collocation.newton import on_adapted_mesh
+from jaxnh.orbits.collocation.paths import PiecewisePath
 from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.core import Evaluation, LinearSolution, Solution
 from jaxnh.orbits.continuation.paths import MOST_POINTS, NO_CONVERGENCE, NO_RETURN, NO_SADDLE, Path, StepControl
 
-_NEAR = 1e-5  # sizes: distance of the ends from their saddles, whose square is what projections leave
 _STRETCH = 12  # points between meshes
-_INTERVALS, _MOST = 60, 480  # of a mesh
-_RESOLVED = 1e-8  # widths: error of parameters, beyond which a mesh is made finer
-_LONGER = 1.5  # duration, by which what the ends cut off is told
-_ROUNDING = 1e-12  # widths
+_INTERVALS = 60  # of a first mesh
 _FIRST = 0.1  # of the largest step
-
-
-class Connection(NamedTuple):
-    """An orbit from a saddle to a saddle, one lane.
-
-    Attributes:
-        solution: the path, which begins and ends near them, and both parameters.
-        departure, arrival: the saddles; the same for a homoclinic orbit.
-        residual: largest component of the equations, in sizes.
-    """
-
-    solution: BoundarySolution
-    departure: SaddlePoint
-    arrival: SaddlePoint
-    residual: float = np.nan
-
-    @property
-    def values(self) -> Float[np.ndarray, " 2"]:
-        """Both parameters."""
-        return self.solution.values[0]
 
 
 class Stretch(NamedTuple):
@@ -204,8 +181,10 @@ def connection_near(
             return None
         both = values.copy()
         both[free] = solved.solution.values[0, 0]
-        return _adapted(
-            problem, _again(problem, Connection(solved.solution._replace(values=both[None]), *saddles)), held=1 - free
+        return adapted(
+            problem,
+            with_own_saddles(problem, Connection(solved.solution._replace(values=both[None]), *saddles)),
+            held=1 - free,
         )
     except (InputError, np.linalg.LinAlgError):
         return None
@@ -218,28 +197,6 @@ def follow_connections(
     sides = [_follow(problem, begun, sign, low, high, steps) for sign in (1.0, -1.0)]
     (ahead, last), (back, first) = sides
     return ConnectionCurve([*(_reversed(stretch) for stretch in back[::-1]), *ahead], (first, last))
-
-
-def refined(problem: Problem, point: Connection) -> tuple[Connection, Float[np.ndarray, " 2"]] | None:
-    """The orbit with longer rests on half of the intervals, across the curve, and the error of both parameters.
-
-    What is left of the mesh and of the ends is less than how far these have moved the parameters, each by itself. None
-    where Newton does not confirm the orbit.
-    """
-    try:
-        more = 0.5 * (_LONGER - 1.0) * point.solution.duration[0]
-        longer = _across(
-            problem, point, with_ends(problem, point.solution, point.departure, point.arrival, (more, more))
-        )
-        if longer is None:
-            return None
-        finer = _on_halves(problem, longer)
-    except (InputError, np.linalg.LinAlgError):
-        return None
-    if finer is None:
-        return None
-    error = np.abs(finer.values - longer.values) + np.abs(longer.values - point.values)
-    return finer, error + _ROUNDING * problem.widths + np.spacing(np.abs(finer.values))
 
 
 # ---- stretches
@@ -265,16 +222,16 @@ def _follow(
         left -= len(stretch.points) - 1
         if len(stretch.points) < 2:
             intervals = now.solution.path.stages.shape[1]
-            if end == NO_CONVERGENCE and 2 * intervals <= _MOST:
+            if end == NO_CONVERGENCE and 2 * intervals <= MOST_INTERVALS:
                 stretches.pop()
-                now = _adapted(problem, now, 2 * intervals)
+                now = adapted(problem, now, 2 * intervals)
                 continue
             return stretches, NO_SADDLE if end == NO_RETURN else end
         if end not in (MOST_POINTS, NO_CONVERGENCE):
             return stretches, NO_SADDLE if end == NO_RETURN else end
         gaps = core.norm(equations.unit, np.diff(track.z[-2:], axis=0))
         size, toward = float(np.clip(gaps[0], steps.ds_min, steps.ds_max)), track.way[-1, -2:]
-        now = _adapted(problem, stretch.points[-1])
+        now = adapted(problem, stretch.points[-1])
     return stretches, MOST_POINTS
 
 
@@ -315,73 +272,6 @@ def _reversed(stretch: Stretch) -> Stretch:
         return stretch.between(last - 1 - number, 1.0 - share)
 
     return Stretch(stretch.points[::-1], between)
-
-
-# ---- meshes and rests
-
-
-def _adapted(problem: Problem, point: Connection, n: int | None = None, held: int | None = None) -> Connection:
-    """The orbit with rests as long as they must be, on a mesh adapted to it, as fine as its parameters need.
-
-    Across the curve, or at the value of the parameter of a number that is held.
-    """
-    intervals = point.solution.path.stages.shape[1] if n is None else n
-    saddles = point.departure, point.arrival
-    more = [_missing_rest(problem, point, k) for k in range(2)]
-    solution = with_ends(problem, point.solution, *saddles, (more[0], more[1]))
-    while True:
-        new = _across(problem, point, remeshed(problem, solution, intervals, cyclic=False), held)
-        if new is not None:
-            new = _across(problem, new, remeshed(problem, new.solution, intervals, cyclic=False), held) or new
-            finer = _on_halves(problem, new, held)
-            if finer is not None and np.all(np.abs(finer.values - new.values) <= _RESOLVED * problem.widths):
-                return new
-        if 2 * intervals > _MOST:
-            return new or point
-        intervals *= 2
-
-
-def _on_halves(problem: Problem, point: Connection, held: int | None = None) -> Connection | None:
-    path = point.solution.path
-    return _across(problem, point, point.solution._replace(path=on_mesh(path, halved(path.mesh))), held)
-
-
-def _missing_rest(problem: Problem, point: Connection, end: int) -> float:
-    """The time by which an end is to be later (or earlier) so that it is as near to its saddle as is asked for."""
-    saddle, path = (point.departure, point.arrival)[end], point.solution.path
-    real = np.real(saddle.eigenvalues)
-    rate = real[real > 0.0].min() if end == 0 else -real[real < 0.0].max()
-    away = np.linalg.norm((path.ends[0] - saddle.state) / problem.size, axis=1)
-    if away[-end] >= _NEAR:
-        return float(np.log(away[-end] / _NEAR) / rate)
-    beyond = np.flatnonzero(away > _NEAR)
-    times = point.solution.duration[0] * path.mesh[0]
-    return -float(times[beyond[0] - 1] if end == 0 else times[-1] - times[beyond[-1] + 1])
-
-
-def _across(problem: Problem, point: Connection, guess: BoundarySolution, held: int | None = None) -> Connection | None:
-    """The orbit near a guess whose parameters differ from those of a point across the curve, or one is as it is."""
-    boundary = projections(problem, point.departure, point.arrival)
-
-    def hold(line: NewtonSystem, lanes: np.ndarray) -> list[Variation]:
-        if held is not None:
-            return [fixed(line, -1), fixed(line, held)]
-        line = orthonormal(guess.path, line)
-        return [fixed(line, -1), direction_without(guess.path, line, [phase_condition(problem, line), fixed(line, -1)])]
-
-    corrected = correct(problem, guess, boundary, hold)
-    if not corrected.converged[0]:
-        return None
-    orbit = corrected.solution
-    if held is not None:
-        orbit.values[0, held] = guess.values[0, held]  # but for rounding
-    return _again(problem, Connection(orbit, point.departure, point.arrival, float(corrected.residual[0])))
-
-
-def _again(problem: Problem, point: Connection) -> Connection:
-    """The orbit with the saddles at its own parameters."""
-    saddles = [saddle_at(problem, end.state, point.values) for end in (point.departure, point.arrival)]
-    return point._replace(departure=saddles[0], arrival=saddles[1])
 
 
 def _of_one_parameter(problem: Problem, values: Float[np.ndarray, " 2"], free: int) -> Problem:

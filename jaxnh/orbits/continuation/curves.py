@@ -20,14 +20,16 @@ from jaxnh.orbits.continuation import core, paths
 from jaxnh.orbits.continuation.arclength import collapses
 from jaxnh.orbits.continuation.core import FINE, Evaluation, LinearSolution, Solution
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, closed_determinant, second_compound
-from jaxnh.orbits.continuation.paths import StepControl
+from jaxnh.orbits.continuation.paths import StepControl, Track
+from jaxnh.orbits.continuation.tracks import joined
 from jaxnh.orbits.multipliers import angle_cosine, multipliers
 from jaxnh.systems.chart import Wrap
 
 CURVE_STEPS = StepControl(max_steps=500)
 """Default steps."""
 
-_SHIFT = 1e-6  # of differences, in lengths: Newton's steps shrink by such a factor
+_SHIFT = 1e-6  # of central differences, in lengths: their error is its square, and rounding over it
+_CURVED = 1e-2  # second differences of a test function, of first ones: beyond, derivatives are not known
 
 
 class PeriodAndParameters(Protocol):
@@ -153,9 +155,22 @@ def follow_both_ways(
     confirmed = np.flatnonzero(begun.converged)
     curves = list[Curve | None]([None] * len(z))
     for k, track in paths.follow_both_ways(equations, begun.take(confirmed), steps).items():
-        orbits, both = split_unknowns(plane, track.points.z)
-        curves[confirmed[k]] = Curve(kind, orbits, both, track.points, multipliers(track.points.blocks), track.ends)
+        curves[confirmed[k]] = _curve(plane, kind, track)
     return curves
+
+
+def join_curves(plane: ParameterPlane, one: Curve, other: Curve, near: float) -> Curve | None:
+    """The curve that two are parts of, the first of them cut on the second (`tracks.joined`); None where it is not."""
+    if (one.kind, one.period) != (other.kind, other.period):
+        return None
+    equations = BifurcationEquations(plane, one.kind, one.track.z.shape[1])
+    track = joined(equations, Track(one.track, one.ends), Track(other.track, other.ends), near)
+    return None if track is None else _curve(plane, one.kind, track)
+
+
+def _curve(plane: ParameterPlane, kind: int, track: Track) -> Curve:
+    points, values = split_unknowns(plane, track.points.z)
+    return Curve(kind, points, values, track.points, multipliers(track.points.blocks), track.ends)
 
 
 class BifurcationEquations:
@@ -218,11 +233,14 @@ def _equations(
     (points, values), lanes = split_unknowns(plane, z), len(z)
     n, d = points.shape[1:]
     width = plane.high - plane.low
-    # One call for all: the orbits, and for differences each coordinate of all points and each parameter shifted.
-    at = [points, *(points + _SHIFT * plane.size * unit for unit in np.eye(d)), points, points]
-    by = [values] * (d + 1) + [values + _SHIFT * width * unit for unit in np.eye(2)]
+    # One call for all: the orbits, and for differences each coordinate of all points and each parameter shifted there
+    # and back. One-sided ones turn a curve round near generalised Hopf points, where a fold's direction is left to what
+    # two nearly equal cycles differ by: by their error, 1e-4 where cycles pass the section at a small angle.
+    shifts = [sign * _SHIFT * unit for sign in (1.0, -1.0) for unit in np.eye(d + 2)]
+    at = [points, *(points + plane.size * shift[:d] for shift in shifts)]
+    by = [values, *(values + width * shift[d:] for shift in shifts)]
     image, every, columns = _periods(plane, np.concatenate(at), np.concatenate(by))
-    every = every.reshape(d + 3, *points.shape, d)
+    every = every.reshape(2 * d + 5, *points.shape, d)
     image, blocks, columns = image[:lanes], every[0], columns[:lanes]
     missing = plane.wrap(image - np.roll(points, -1, 1)) / plane.size
     slopes = np.zeros((lanes, n * d + 1, n * d + 2))
@@ -231,15 +249,21 @@ def _equations(
         slopes[:, rows, i * d : (i + 1) * d] += np.sqrt(n) * blocks[:, i]
         slopes[:, rows, ahead : ahead + d] -= np.sqrt(n) * np.eye(d)
         slopes[:, rows, -2:] = columns[:, i]
-    # One determinant a derivative, all in one call: the orbit's own, one with each point shifted, whose block is all
-    # that changes, and one with each parameter.
-    shifted = np.broadcast_to(blocks, (n, d, *blocks.shape)).copy()
+    # Two determinants a derivative, all in one call: the orbit's own, those with each point shifted, whose block is all
+    # that changes, and those with each parameter.
+    sides = every[1:].reshape(2, d + 2, *blocks.shape)
+    shifted = np.broadcast_to(blocks, (2, n, d, *blocks.shape)).copy()
     for i in range(n):
-        shifted[i, :, :, i] = every[1 : d + 1, :, i]
-    stacked = np.concatenate([blocks[None], shifted.reshape(n * d, *blocks.shape), every[d + 1 :]])
+        shifted[:, i, :, :, i] = sides[:, :d, :, i]
+    both = np.concatenate([shifted.reshape(2, n * d, *blocks.shape), sides[:, d:]], axis=1)
+    stacked = np.concatenate([blocks[None], both.reshape(-1, *blocks.shape)])
     with np.errstate(invalid="ignore", over="ignore"):
         test, *others = _finite_test(kind, stacked.reshape(-1, *blocks.shape[1:])).reshape(len(stacked), lanes)
-        slopes[:, -1] = ((np.array(others) - test) / _SHIFT).T * np.append(np.full(n * d, np.sqrt(n)), [1.0, 1.0])
+        ahead, back = np.array(others).reshape(2, -1, lanes)
+        change, bend = 0.5 * (ahead - back), 0.5 * (ahead + back) - test
+        # As towards orbits that touch their section, beyond which the map has no value.
+        test = np.where(np.linalg.norm(bend, axis=0) <= _CURVED * np.linalg.norm(change, axis=0), test, np.nan)
+        slopes[:, -1] = (change / _SHIFT).T * np.append(np.full(n * d, np.sqrt(n)), [1.0, 1.0])
         scale = np.linalg.norm(slopes[:, -1], axis=1)
         slopes[:, -1] /= scale[:, None]
         return np.concatenate([missing.reshape(lanes, -1), (test / scale)[:, None]], axis=1), slopes, blocks

@@ -23,7 +23,8 @@ from jaxnh.orbits.continuation import core, paths
 from jaxnh.orbits.continuation.core import FINE, Evaluation, LinearSolution, Solution
 from jaxnh.orbits.continuation.curves import CURVE_STEPS, Curve
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF
-from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, StepControl
+from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, StepControl, Track
+from jaxnh.orbits.continuation.tracks import joined, nearest
 from jaxnh.systems.chart import Wrap
 
 _REAL = 1e-6  # imaginary part of an eigenvalue, of the largest modulus
@@ -178,10 +179,11 @@ class EigenvectorEquations:
         return np.concatenate([self._plane.wrap(gap[:, :d] * size) / size, gap[:, d:]], axis=1)
 
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterator[Float[np.ndarray, "lanes N"]]:
-        """The same alone; along folds also with the opposite eigenvector."""
+        """The same, and with the opposite eigenvector."""
         yield z
-        if not self._hopf:
-            yield np.concatenate([z[:, : self._d], -z[:, self._d : 2 * self._d], z[:, -2:]], axis=1)
+        opposite, end = z.copy(), 3 * self._d if self._hopf else 2 * self._d
+        opposite[:, self._d : end] *= -1.0
+        yield opposite
 
     def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
         """Any step."""
@@ -272,18 +274,19 @@ def curve_of(plane: FieldPlane, kind: int, track: Solution, ends: tuple[int, int
     return Curve(kind, at.u[:, None], at.values, track, values, ends, equilibria=True)
 
 
+def join_curves(plane: FieldPlane, one: Curve, other: Curve, near: float) -> Curve | None:
+    """The curve that two are parts of, the first of them cut on the second (`tracks.joined`); None where it is not."""
+    if one.kind != other.kind:
+        return None
+    equations = EigenvectorEquations(plane, one.kind)
+    track = joined(equations, Track(one.track, one.ends), Track(other.track, other.ends), near)
+    return None if track is None else curve_of(plane, one.kind, track.points, track.ends)
+
+
 def passes(plane: FieldPlane, curves: Sequence[Curve], kind: int, at: CriticalEquilibria, near: float) -> bool:
     """Return whether one of the curves of a kind goes through an equilibrium with its frequency, within a distance."""
     equations, d = EigenvectorEquations(plane, kind), len(plane.size)
     keep = np.r_[np.arange(d), np.arange(-3 if kind == HOPF else -2, 0)]
-    [z] = equations.join(at)[:, keep]
-    for curve in curves:
-        if curve.kind != kind:
-            continue
-        track = curve.track.z[:, keep]
-        chord, gap = np.diff(track, axis=0), z - track[:-1]
-        length = np.maximum(np.sum(chord**2, axis=1), np.finfo(float).tiny)
-        share = np.clip(np.sum(gap * chord, axis=1) / length, 0.0, 1.0)[:, None]
-        if np.linalg.norm(gap - share * chord, axis=1).min(initial=np.inf) <= near:
-            return True
-    return False
+    [z] = equations.join(at)
+    tracks = [curve.track for curve in curves if curve.kind == kind]
+    return any(nearest(track.z, track.way, z, keep).distance <= near for track in tracks)

@@ -314,6 +314,11 @@ class Track(NamedTuple):
     points: Solution
     ends: tuple[int, int]
 
+    def backward(self) -> Track:
+        """The same from its other end."""
+        first, last = self.ends
+        return Track(self.points.take(slice(None, None, -1)).backward(), (last, first))
+
 
 def follow_both_ways(
     equations: CurveEquations,
