@@ -84,7 +84,7 @@ class GeneralStrobe(ReturnMap):
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps and, where there is one, of the loop over stages."""
         steps = () if self.steps is None else (float(np.mean(self.steps)),)
-        rolls = first_of_stack(self, np.ndim(self.steps))._rolls(0)
+        rolls = (self if self.steps is None else first_of_stack(self, np.ndim(self.steps)))._rolls(0)
         return (*steps, float(self.solver.stages)) if rolls else steps
 
     def _rolls(self, tangents: int) -> bool:
