@@ -334,7 +334,9 @@ OTHERS = {
         "storage/hdf5.py": "within one that is read: among UNREADABLE, caught by all readers",
     },
     "_NoPointError": {"orbits/collocation/bifurcations.py": "within the search for a zero: caught there"},
-    "np.linalg.LinAlgError": {"orbits/collocation/adjoint.py": "singular equations, as NumPy's own: caught by the meshes"},
+    "np.linalg.LinAlgError": {
+        "orbits/collocation/adjoint.py": "singular equations, as NumPy's own: caught by the meshes"
+    },
     "fault_of": {"plotting/reading.py": "a DamagedError, or the very error that was met: an ordinary failure"},
     "ValueError": {
         "analyses/batch.py": "a batch without a line: an error of the caller's program",
