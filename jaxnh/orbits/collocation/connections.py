@@ -32,7 +32,7 @@ from jaxnh.orbits.collocation.homoclinic import hold_duration, projections, sadd
 from jaxnh.orbits.collocation.newton import on_adapted_mesh
 from jaxnh.orbits.collocation.paths import PiecewisePath
 from jaxnh.orbits.continuation import core
-from jaxnh.orbits.continuation.core import Evaluation, LinearSolution, Solution
+from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, Solution
 from jaxnh.orbits.continuation.paths import MOST_POINTS, NO_CONVERGENCE, NO_RETURN, NO_SADDLE, Path, StepControl
 
 _STRETCH = 12  # points between meshes
@@ -65,7 +65,7 @@ class ConnectionCurve(NamedTuple):
     ends: tuple[int, int]
 
 
-class ConnectionEquations:
+class ConnectionEquations(EquationsOfPaths):
     """Connecting orbits near one, on its mesh and of its duration, as `core.CurveEquations`, in sizes and widths."""
 
     def __init__(
@@ -107,22 +107,9 @@ class ConnectionEquations:
         residual, slopes = (np.stack(leaves) for leaves in zip(*rows, strict=True))
         return Evaluation(residual, np.zeros((len(z), 0)), slopes)
 
-    def solve(self, at: Evaluation, /) -> LinearSolution:
-        """The step and the direction; where other curves pass is not asked for."""
-        least, null = at.slopes[:, 0], at.slopes[:, 1]
-        return LinearSolution(least, null, np.zeros_like(null), np.full(len(null), np.nan))
-
-    def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
-        """The gap as it is: paths go on beyond whole turns."""
-        return gap
-
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
         """None but the orbit itself."""
         return (z,)
-
-    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
-        """Any step."""
-        return np.full(len(now.z), np.inf)
 
     def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
         """None of their own."""

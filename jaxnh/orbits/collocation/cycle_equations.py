@@ -28,7 +28,7 @@ from jaxnh.orbits.collocation.equations import (
 from jaxnh.orbits.collocation.newton import take
 from jaxnh.orbits.collocation.paths import PiecewisePath, adapted_mesh, interpolation_errors, on_mesh, values_at
 from jaxnh.orbits.continuation import core
-from jaxnh.orbits.continuation.core import Evaluation, LinearSolution, Solution
+from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, Solution
 from jaxnh.orbits.continuation.paths import CLOSED, COLLAPSED, UNBOUNDED
 
 _RESOLVED = 1e-4  # error of a multiplier, relative to it or absolute where it is small, at which meshes are fine enough
@@ -78,7 +78,7 @@ class CyclePoint(NamedTuple):
         return float(self.solution.values[0, 0])
 
 
-class CollocationEquations:
+class CollocationEquations(EquationsOfPaths):
     """Cycles on one mesh as `core.CurveEquations`: states, the logarithm of the duration, and the parameter.
 
     Orbits are not shifted along themselves against one of them, which is the integral phase condition: without a fixed
@@ -179,22 +179,9 @@ class CollocationEquations:
         slopes = np.stack([self.direction(step), self.direction(way)], axis=1)
         return Evaluation(residual, kept, slopes)
 
-    def solve(self, at: Evaluation, /) -> LinearSolution:
-        """The step and the direction; where other curves pass is told by multipliers."""
-        least, null = at.slopes[:, 0], at.slopes[:, 1]
-        return LinearSolution(least, null, np.zeros_like(null), np.full(len(null), np.nan))
-
-    def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
-        """The gap as it is: paths go on beyond whole turns."""
-        return gap
-
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
         """None: the first point of a cycle is anywhere on it, and `invariants` tell where a branch closes."""
         return ()
-
-    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
-        """Any step."""
-        return np.full(len(now.z), np.inf)
 
     def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
         """Cycles that have become ones of half the duration or equilibria, are far away, or close the branch."""

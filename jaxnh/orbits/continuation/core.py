@@ -124,6 +124,23 @@ class Solution(NamedTuple):
         return self._replace(way=-self.way, determinant=-self.determinant)
 
 
+class EquationsOfPaths:
+    """What equations of paths share: they are solved where they are evaluated, and their slopes are the solutions."""
+
+    def solve(self, at: Evaluation, /) -> LinearSolution:
+        """The step and the direction; where other curves pass is told by other means."""
+        least, null = at.slopes[:, 0], at.slopes[:, 1]
+        return LinearSolution(least, null, np.zeros_like(null), np.full(len(null), np.nan))
+
+    def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
+        """The gap as it is: paths go on beyond whole turns."""
+        return gap
+
+    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
+        """Any step."""
+        return np.full(len(now.z), np.inf)
+
+
 # ---- the corrector
 
 
