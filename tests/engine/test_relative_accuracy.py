@@ -263,7 +263,7 @@ FAULTS = {
         "the right-hand side jumps at t = ",
     ),
     "a corner": (
-        "y[1], -y[0] - 0.3 * jnp.sort(jnp.stack((y[0], -y[0])))[1] - 0.1 * y[1] + 2 * jnp.cos(t)",
+        "y[1], -y[0] - 0.3 * jnp.stack((y[0], -y[0]))[jnp.argmax(jnp.stack((y[0], -y[0])))] - 0.1 * y[1] + 2 * jnp.cos(t)",
         "coordinates=('x', 'v'), period=2 * jnp.pi",
         "the right-hand side has a corner at t = ",
     ),
