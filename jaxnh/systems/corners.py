@@ -7,28 +7,27 @@ written anew as a function of (y, t, side), in which they read the side of their
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jax.extend import core
 
 from jaxnh.systems.definition import Definition
+from jaxnh.systems.straight_pieces import (
+    COMPARISONS,
+    MOST_SURFACES,
+    OPERANDS,
+    equations_within,
+    is_real,
+    written_in_pieces,
+)
 from jaxnh.systems.tracing import KnownValue, Program, Slot, Step
 from jaxnh.systems.user_functions import pointwise
 
-_COMPARISONS = {"gt": 1.0, "ge": 1.0, "lt": -1.0, "le": -1.0}  # the side on which each is true
-_OPERANDS = {"abs": ((0, None),), "sign": ((0, None),), "max": ((0, 1),), "min": ((0, 1),), "clamp": ((1, 0), (1, 2))}
-_OPERANDS |= dict.fromkeys(_COMPARISONS, ((0, 1),))
 _WITHOUT_SURFACE = ("floor", "ceil", "round", "rem", "argmax", "argmin", "sort", "reduce_max", "reduce_min")
 _CONTINUOUS = ("abs", "max", "min", "clamp", "reduce_max", "reduce_min", "sort")
-_EXTREMES = {"reduce_max": lax.max, "reduce_min": lax.min}
-_LINEAR = ("add", "sub", "mul", "neg", "select_n", "convert_element_type", "broadcast_in_dim", "jit", "pjit")
-_MOST_SURFACES = 64  # each is looked at after every step
 _PROBES = 16  # random states, for each surface
 _NEWTON_STEPS = 40  # to a surface
 _BESIDE = 0.01  # so far from it branches are compared
@@ -63,7 +62,7 @@ class PiecewiseField:
         """
         y = (0.0,) * len(define(**parameters)["coordinates"])
         self._program = program = Program(
-            lambda p, y, t: define(**p)["rhs"](y, t), dict(parameters), y, 0.0, written_out=_in_pieces
+            lambda p, y, t: define(**p)["rhs"](y, t), dict(parameters), y, 0.0, written_out=written_in_pieces
         )
         moving = [0] * len(parameters) + [1] * (len(y) + 1)
         self._moves, self._fixed = program.depends(moving), self._constants()
@@ -72,7 +71,7 @@ class PiecewiseField:
         self._sides: dict[Slot, list[list[tuple[int, float]]]] = {}
         self._numbers: dict[Any, int] = {}
         self._place_all()
-        if len(self.surfaces) > _MOST_SURFACES:
+        if len(self.surfaces) > MOST_SURFACES:
             self.surfaces, self._sides = [], {}
         self.attracts = self.pushes = np.zeros(0, bool)
         if self.surfaces:
@@ -107,7 +106,7 @@ class PiecewiseField:
                 continue
             name = step.equation.primitive.name
             leaps = any(slot in leaping for slot in step.reads if not isinstance(slot, KnownValue))
-            corner = name in _OPERANDS and _is_real(step.equation)
+            corner = name in OPERANDS and is_real(step.equation)
             if corner and not leaps:  # surfaces of what jumps itself are left to the steps
                 self._place(step)
             if leaps or ((corner or name in _WITHOUT_SURFACE) and name not in _CONTINUOUS):
@@ -117,7 +116,7 @@ class PiecewiseField:
         """Note the surfaces of an equation."""
         count = int(np.prod(step.equation.outvars[0].aval.shape))
         sides = list[list[tuple[int, float]]]()
-        for first, second in _OPERANDS[step.equation.primitive.name]:
+        for first, second in OPERANDS[step.equation.primitive.name]:
             above, below = step.reads[first], None if second is None else step.reads[second]
             above, below, sign = self._ordered(above, below) if count == 1 else (above, below, 1.0)
             surfaces = [Surface(above, below, element) for element in range(count)]
@@ -268,8 +267,8 @@ class PiecewiseField:
             return jnp.stack(each).reshape(shape) if shape else each[0]
 
         first, *second = map(side, self._sides[step.makes[0]])
-        if name in _COMPARISONS:
-            return lambda a, b: first * _COMPARISONS[name] > 0.0
+        if name in COMPARISONS:
+            return lambda a, b: first * COMPARISONS[name] > 0.0
         return {
             "abs": lambda x: first * x,
             "sign": lambda x: first,
@@ -364,45 +363,11 @@ def names_without_surface(function: Callable[..., Any], *arguments: Any) -> tupl
     names = list[str]()
     for step in Program(function, *arguments).steps:
         custom = step.equation.primitive.name.startswith("custom_")
-        within = () if custom else tuple(_equations_within(step.equation))
-        names += [each.primitive.name for each in within if each.primitive.name in _OPERANDS and _is_real(each)]
+        within = () if custom else tuple(equations_within(step.equation))
+        names += [each.primitive.name for each in within if each.primitive.name in OPERANDS and is_real(each)]
         names += [each.primitive.name for each in (step.equation, *within) if each.primitive.name in _WITHOUT_SURFACE]
     return tuple(dict.fromkeys(name.removeprefix("reduce_") for name in names))
 
 
 def _value(read: Read, values: Mapping[Slot, Any]) -> Any:
     return read.value if isinstance(read, KnownValue) else values[read]
-
-
-def _is_real(equation: Any) -> bool:
-    return all(jnp.issubdtype(atom.aval.dtype, jnp.floating) for atom in equation.invars)
-
-
-def _equations_within(equation: Any) -> Iterator[Any]:
-    """Equations of the programs that an equation calls, as of a loop."""
-    for value in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: isinstance(x, core.Jaxpr)):
-        inner = getattr(value, "jaxpr", value)
-        if isinstance(inner, core.Jaxpr):
-            for each in inner.eqns:
-                yield each
-                yield from _equations_within(each)
-
-
-def _in_pieces(equation: Any) -> Any:
-    """The program in place of an equation of straight pieces, as `jax.nn.relu`, or of an extreme of few numbers."""
-    if equation.primitive.name in _EXTREMES:
-        number, made = equation.invars[0].aval, equation.outvars[0].aval
-        if not 0 < number.size - made.size <= _MOST_SURFACES or not _is_real(equation):
-            return None
-        axes, extreme = equation.params["axes"], _EXTREMES[equation.primitive.name]
-
-        def by_pairs(numbers: Any) -> Any:
-            first = jnp.moveaxis(numbers, axes, range(len(axes))).reshape(-1, *made.shape)
-            return functools.reduce(extreme, list(first))
-
-        return jax.make_jaxpr(by_pairs)(number)
-    if not equation.primitive.name.startswith("custom_jvp"):
-        return None
-    names = {each.primitive.name for each in _equations_within(equation)}
-    linear = not names.isdisjoint(_OPERANDS) and names <= {*_OPERANDS, *_LINEAR}
-    return equation.params["call_jaxpr"] if linear else None

@@ -121,7 +121,8 @@ def test_bars_cover():
     a, b = np.linspace(0.8, 1.2, 40), 0.3
     options = jaxnh.Edges(box={"x": (-2.0, 2.0), "y": (-1.0, 1.0)}, pairs=2, n_starts=16, directions=0)
     data = jaxnh.Session(henon, start={"x": 0.1}).run(options, a=a).stack(edge=("a", "pair"))
-    data = data.isel(edge=data["kind"].to_numpy() == 1)
+    # Near a = 1.07 there are two attractors, and between them a saddle of period 6, in no closed form.
+    data = data.isel(edge=(data["kind"].to_numpy() == 1) & (data["period"].to_numpy() == 1))
     assert data.sizes["edge"] >= 60
     a = data["a"].to_numpy()
     saddle = (-(1 - b) - np.sqrt((1 - b) ** 2 + 4.0 * a)) / (2.0 * a)

@@ -187,10 +187,11 @@ class _Chord:
         s, left, unit = share, 1.0 - share, self._equations.unit
         bent = s * s * (3.0 - 2.0 * s) * self._chord + s * left**2 * self._ways[0] - s * s * left * self._ways[1]
         off = s * core.norm(unit, self._chord) - core.inner(unit, bent, self._normal)
-        found = core.correct(self._equations, self._first + bent + off[:, None] * self._normal, self._normal, core.FINE)
-        if not found.converged[0]:
+        guess = self._first + bent + off[:, None] * self._normal
+        corrected = core.correct(self._equations, guess, self._normal, core.FINE)
+        if not corrected.converged[0]:
             raise _NoPointError
-        return self._equations.points(found)[0]
+        return self._equations.points(corrected)[0]
 
     def test(self, share: float) -> float:
         """The test function there."""

@@ -90,7 +90,7 @@ def refined(problem: Problem, point: Connection) -> RefinedConnection | None:
 
 
 def _rounding(problem: Problem, orbit: Connection, adjoint: AdjointSolution) -> Float[np.ndarray, " 2"]:
-    """How far the rounding of all states moves the parameters, across the curve."""
+    """Distances by which the rounding of all states moves the parameters, across the curve."""
     states = np.abs(orbit.solution.path.ends[0] / problem.size)
     share = np.sum(np.abs(adjoint.psi) * states) / np.sum(adjoint.normal**2)
     return np.finfo(float).eps * (_ROUNDINGS * share * np.abs(adjoint.normal) * problem.widths + np.abs(orbit.values))

@@ -152,14 +152,14 @@ class CollocationEquations(EquationsOfPaths):
             path, way = on_mesh(path, self._mesh), Variation(moved.ends, moved.stages, way.extra)
         return self.unknowns(point.solution._replace(path=path)), self.direction(way)
 
-    def points(self, found: Solution) -> list[CyclePoint]:
+    def points(self, orbits: Solution) -> list[CyclePoint]:
         """Points of the branch with their multipliers, from solutions."""
-        solution, way = self.solution(found.z), self.variation(found.way)
-        blocks = found.blocks[:, :-1].reshape(len(found.z), self._stages[0], *2 * [self._stages[2]])
-        values, errors = cycle_multipliers(self._problem, solution, blocks, found.blocks[:, -1])
+        solution, way = self.solution(orbits.z), self.variation(orbits.way)
+        blocks = orbits.blocks[:, :-1].reshape(len(orbits.z), self._stages[0], *2 * [self._stages[2]])
+        values, errors = cycle_multipliers(self._problem, solution, blocks, orbits.blocks[:, -1])
         bends = interpolation_errors(solution.path, self._problem.size)
         return [
-            CyclePoint(take(solution, [k]), take(way, [k]), values[k], errors[k], bends[k], float(found.residual[k]))
+            CyclePoint(take(solution, [k]), take(way, [k]), values[k], errors[k], bends[k], float(orbits.residual[k]))
             for k in range(len(values))
         ]
 
@@ -218,8 +218,8 @@ def point_at(
 ) -> CyclePoint:
     """The point of a branch at a cycle, with the direction with a positive share of another one or the parameter."""
     equations = CollocationEquations(problem, solution, lift)
-    found = core.correct(equations, equations.unknowns(solution), tolerance=np.inf)
-    [point] = equations.points(found)
+    corrected = core.correct(equations, equations.unknowns(solution), tolerance=np.inf)
+    [point] = equations.points(corrected)
     share = point.way.extra[:, 1] if along is None else inner(solution.path, point.way, along)
     return reversed_way(point) if share[0] < 0.0 else point
 

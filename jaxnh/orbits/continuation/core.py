@@ -125,7 +125,7 @@ class Solution(NamedTuple):
 
 
 class EquationsOfPaths:
-    """What equations of paths share: they are solved where they are evaluated, and their slopes are the solutions."""
+    """Equations of paths: solved where they are evaluated, so that slopes are the solutions, and not wrapped."""
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
         """The step and the direction; where other curves pass is told by other means."""
