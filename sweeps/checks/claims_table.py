@@ -14,7 +14,6 @@ _ACCURACY, _CONSTRAINT = "docs/accuracy.md", "docs/howto/constraint.md"
 _SENSITIVITIES, _PEERS = "docs/howto/sensitivities.md", "results/peers.md"
 _PEERS_COMMAND = "python -m sweeps.peers.particle.peers --repeats 3"
 _FLOWS, _FLOWS_COMMAND = "results/peers_flows.md", "python -m sweeps.peers.flows.peers_flows --repeats 3"
-_FLOW_TARGETS = ("error ≤ 1e-06", "error ≤ 1e-08", "error ≤ 1e-10")
 _HARD = "results/hard.md"
 _SLOWING = "results/critical_slowing.md"
 _OVER = "jaxnh over each peer, 1 core"
@@ -132,7 +131,7 @@ def _speeds() -> list[Claim]:
     scipy = cells(_PEERS, _OVER, _TARGETS, over="scipy DOP853")
 
     def of_flow(quote: str, title: str, name: str) -> Claim:
-        read = cells(_FLOWS, title, _FLOW_TARGETS, flow=name)
+        read = cells(_FLOWS, title, _TARGETS, flow=name)
         return Claim(_ACCURACY, quote, _FLOWS_COMMAND, _FLOWS, f"{title}; {name}", read)
 
     cores = cells(_PEERS, "Two cores", ["over the first"], CPU_devices="two devices")
