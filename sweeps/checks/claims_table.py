@@ -7,15 +7,25 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxnh.solvers import SPLITTINGS
-from sweeps.checks.claims_reading import cells, doublings, number, rows, searched
+from sweeps.checks.claims_figures import (
+    HARD,
+    PEERS,
+    SLOWING,
+    agreement,
+    covered,
+    fewer_kicks,
+    held_out,
+    largest_error,
+    of_spectra,
+    orders,
+    slopes,
+)
+from sweeps.checks.claims_reading import cells, doublings, searched
 
 _ACCURACY, _CONSTRAINT = "docs/accuracy.md", "docs/howto/constraint.md"
-_SENSITIVITIES, _PEERS = "docs/howto/sensitivities.md", "results/peers.md"
+_SENSITIVITIES = "docs/howto/sensitivities.md"
 _PEERS_COMMAND = "python -m sweeps.peers.particle.peers --repeats 3"
 _FLOWS, _FLOWS_COMMAND = "results/peers_flows.md", "python -m sweeps.peers.flows.peers_flows --repeats 3"
-_HARD = "results/hard.md"
-_SLOWING = "results/critical_slowing.md"
 _OVER = "jaxnh over each peer, 1 core"
 _TARGETS = ("error ≤ 1e-06", "error ≤ 1e-08", "error ≤ 1e-10")
 
@@ -52,89 +62,21 @@ class Claim(NamedTuple):
         return [part.partition("]")[0] for part in self.quote.split("[")[1:]]
 
 
-# ---- readers
-
-
-def _fewer_kicks(root: Path) -> list[float]:
-    """How many times fewer kicks `processed6` needs than the next splitting, the most over the targets."""
-    lines = [r for r in rows((root / _PEERS).read_text(encoding="utf-8"), "Forms tried") if r["peer"] == "jaxnh"]
-    ratios = []
-    for target in dict.fromkeys(line["target"] for line in lines):
-        kicks = {r["form"]: number(r["setting"].split("steps,")[1]) for r in lines if r["target"] == target}
-        ratios.append(min(k for form, k in kicks.items() if form != "processed6") / kicks["processed6"])
-    return [max(ratios)]
-
-
-def _of_spectra(root: Path) -> list[float]:
-    """Over heyoka at the error that it has, at each target: averages alone, then the whole analysis."""
-    lines = rows((root / _PEERS).read_text(encoding="utf-8"), "Lyapunov spectra")
-    named = ("jaxnh, at heyoka's own error", "jaxnh, the whole analysis")
-    return [number(line["jaxnh's spectrum over it"]) for name in named for line in lines if line["peer"] == name]
-
-
-def _held_out(root: Path) -> list[float]:
-    """The least and the most over heyoka, of all scenes held out and all targets."""
-    text = (root / _PEERS).read_text(encoding="utf-8")
-    rows = re.findall(r"^\| held out \d \|.*processed6.*$", text, re.MULTILINE)
-    ratios = [number(line.split("|")[6]) for line in rows]
-    return [min(ratios), max(ratios)]
-
-
-def _largest_error(root: Path) -> list[float]:
-    """A bound of all errors of b in both tables: the next whole 1e-11."""
-    worst = max(
-        doublings(f"results/{table}.h5", "b_error", level)(root)[0]
-        for table in ("table1", "table2")
-        for level in range(1, 7)
-    )
-    return [1e-11 * -(-worst // 1e-11)]
-
-
-def _orders(root: Path) -> list[float]:
-    orders = [solver.convergence_order for solver in SPLITTINGS.values()]
-    return [min(orders), max(orders)]
-
-
-def _slopes(root: Path) -> list[float]:
-    """Flattest and steepest slope of the bias that was measured."""
-    text = (root / _SLOWING).read_text(encoding="utf-8")
-    found = [float(slope) for slope in re.findall(r"\| (-\d\.\d{3}) \(", text)]
-    found += [float(slope) for slope in re.findall(r"\) \| (-\d\.\d{3}) \(", text)]
-    return [max(found), min(found)]
-
-
-def _agreement(root: Path) -> list[float]:
-    """Ends of N at 10⁻⁴ with most rows and with half of them, and with most at 10⁻⁵ and 10⁻⁶."""
-    lines = rows((root / _SLOWING).read_text(encoding="utf-8"), "One transient for all rows?")
-    most, half = "N with as many", "N with half of the rows"
-    spans = [lines[0][most], lines[0][half], lines[1][most], lines[2][most]]
-    return [float(end) for span in spans for end in span.split("–")]
-
-
-def _covered(root: Path) -> list[float]:
-    """Shares of bars that cover, of the largest and of all exponents of random lanes, in percent."""
-    lines = rows((root / _HARD).read_text(encoding="utf-8"), "Error bars of exponents")
-    shares = [
-        number(r["measured"].partition(":")[2]) for r in lines if "exponents of random lanes" in r["what is shown"]
-    ]
-    return [100.0 * (1.0 - share) for share in shares]
-
-
 # ---- the claims
 
 
 def _speeds() -> list[Claim]:
     def over(quote: str, row: str) -> Claim:
-        read = cells(_PEERS, _OVER, _TARGETS, over=row)
-        return Claim(_ACCURACY, quote, _PEERS_COMMAND, _PEERS, f"{_OVER}; {row}", read)
+        read = cells(PEERS, _OVER, _TARGETS, over=row)
+        return Claim(_ACCURACY, quote, _PEERS_COMMAND, PEERS, f"{_OVER}; {row}", read)
 
-    scipy = cells(_PEERS, _OVER, _TARGETS, over="scipy DOP853")
+    scipy = cells(PEERS, _OVER, _TARGETS, over="scipy DOP853")
 
     def of_flow(quote: str, title: str, name: str) -> Claim:
         read = cells(_FLOWS, title, _TARGETS, flow=name)
         return Claim(_ACCURACY, quote, _FLOWS_COMMAND, _FLOWS, f"{title}; {name}", read)
 
-    cores = cells(_PEERS, "Two cores", ["over the first"], CPU_devices="two devices")
+    cores = cells(PEERS, "Two cores", ["over the first"], CPU_devices="two devices")
     maps, spectra = "Maps over heyoka batch", "Spectra over heyoka's variational batch"
     return [
         of_flow("Duffing's oscillator is [17.2], [12.0] and [6.07] times", maps, "duffing"),
@@ -160,25 +102,25 @@ def _speeds() -> list[Claim]:
             _ACCURACY,
             "on five others it is [1.21] to [2.91] times as fast as heyoka",
             _PEERS_COMMAND,
-            _PEERS,
+            PEERS,
             "Scenes held out, over heyoka",
-            _held_out,
+            held_out,
         ),
         Claim(
             _ACCURACY,
             "averages of all three Lyapunov exponents [2.82], [1.86] and [1.41] times, with all else that `lyapunov` "
             "does [1.15], [0.83] and [0.74] times",
             "python -m sweeps.peers.particle.peers --only lyapunov --repeats 3",
-            _PEERS,
+            PEERS,
             "Lyapunov spectra, over heyoka at its own error, and the whole analysis",
-            _of_spectra,
+            of_spectra,
         ),
-        Claim(_ACCURACY, "Two cores are [1.86] times as fast as one", _PEERS_COMMAND, _PEERS, "Two cores", cores),
+        Claim(_ACCURACY, "Two cores are [1.86] times as fast as one", _PEERS_COMMAND, PEERS, "Two cores", cores),
         Claim(
             "docs/peers.md",
             "a sweep of the particle takes it [5,025], [4,710] and [3,998] times as long",
             _PEERS_COMMAND,
-            _PEERS,
+            PEERS,
             f"{_OVER}; scipy DOP853",
             scipy,
         ),
@@ -186,9 +128,9 @@ def _speeds() -> list[Claim]:
             "CHANGELOG.md",
             "up to [1.6] times fewer kicks than the best before",
             _PEERS_COMMAND,
-            _PEERS,
+            PEERS,
             "Forms tried, kicks of jaxnh's splittings",
-            _fewer_kicks,
+            fewer_kicks,
         ),
     ]
 
@@ -245,7 +187,7 @@ def _tables() -> list[Claim]:
             "make table1 table2",
             "results/table1.h5",
             "doubling/b_error, and that of table2.h5",
-            _largest_error,
+            largest_error,
         ),
         Claim(
             _ACCURACY,
@@ -253,7 +195,7 @@ def _tables() -> list[Claim]:
             "make table1 table2",
             "results/table1.h5",
             "doubling/b_error, and that of table2.h5",
-            _largest_error,
+            largest_error,
         ),
         Claim(
             "README.md",
@@ -268,7 +210,7 @@ def _tables() -> list[Claim]:
 
 def _bars() -> list[Claim]:
     quote = "on random lanes [99.5] % of 400 λ1 and [99.5] % of 800 of all exponents"
-    return [Claim(_ACCURACY, quote, "make hard", _HARD, "Error bars of exponents", _covered)]
+    return [Claim(_ACCURACY, quote, "make hard", HARD, "Error bars of exponents", covered)]
 
 
 def _governor() -> list[Claim]:
@@ -305,21 +247,21 @@ def _slowing() -> list[Claim]:
     command = "python -m sweeps.studies.critical_slowing"
 
     def claim(quote: str, place: str, read: Callable[[Path], list[float]]) -> Claim:
-        return Claim("results/README.md", quote, command, _SLOWING, place, read)
+        return Claim("results/README.md", quote, command, SLOWING, place, read)
 
     return [
-        claim("on log–log axes are [−1.02] to [−1.33]", "measured slopes, both tables", _slopes),
+        claim("on log–log axes are [−1.02] to [−1.33]", "measured slopes, both tables", slopes),
         claim(
             "At ε = 1e-4, N from [960] to [1100] gives nine of them within a factor of two, and N from [520] to [1900] "
             "at least half; smaller thresholds fit as well, with longer transients ([1900] to [2400] at 1e-5, [2800] "
             "to [3100] at 1e-6)",
             "One transient for all rows?",
-            _agreement,
+            agreement,
         ),
         claim(
             "the bias falls only to [0.43] from level to level while the windows fall to [0.21]",
             "last paragraph",
-            searched(_SLOWING, r"falls to (0\.\d+) of the level before\. The windows fall to (0\.\d+)"),
+            searched(SLOWING, r"falls to (0\.\d+) of the level before\. The windows fall to (0\.\d+)"),
         ),
     ]
 
@@ -342,7 +284,7 @@ def _settings() -> list[Claim]:
             "make test",
             "jaxnh/solvers/compositions.py",
             "orders of SPLITTINGS; tests/solvers fits them",
-            _orders,
+            orders,
         ),
     ]
 
