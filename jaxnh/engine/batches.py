@@ -23,6 +23,7 @@ Requested = Sequence[tuple[Analysis, Options]]
 
 _BYTES = 1 << 28  # of results that are computed at once
 _LANES = 8192  # that are computed at once: enough to fill the tiles of programs that few of them need
+_LANES_ON_CARD = 1 << 20
 _MOST_COMPARED = 1 << 14  # values of the shared axes whose periods are compared
 _BATCHES = 4  # a device at least, so that none waits long for the last
 
@@ -35,6 +36,8 @@ def batches(
     pieces: Sequence[Piece],
     devices: int,
     level: Level | None = None,
+    *,
+    on_card: bool = False,
 ) -> list[list[Piece]]:
     """Pieces that are computed together: tiles in a row, enough for all devices.
 
@@ -43,7 +46,7 @@ def batches(
     cutting = job.cutting
     numbers = sum(a.numbers(options) for a, options in requested if a.name in cutting.independent)
     share = sum(lanes_of(piece, level) for piece in pieces) // (_BATCHES * devices)
-    most = max(cutting.tile, devices * TILE, min(_LANES, share))
+    most = max(cutting.tile, devices * TILE, min(_LANES_ON_CARD if on_card else _LANES, share))
     held = max(cutting.tile, _BYTES // (8 * max(1, numbers)))
     most_values = 1
     if stackable(experiment, axes, requested, job.plan.solver):

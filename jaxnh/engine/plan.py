@@ -107,7 +107,7 @@ def find_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor,
     if not experiment.flow().continuous:
         return Plan(iteration, 1, False, float(np.finfo(float).eps))
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
-        calibration = calibrate(experiment, axes, lanes, experiment.accuracy.only_target, requested)
+        calibration = calibrate(experiment, axes, lanes.on_host(), experiment.accuracy.only_target, requested)
         return plan_of(experiment, axes, calibration, requested)
 
 
@@ -158,8 +158,15 @@ def is_short(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested
     return cost_model.is_short(*_job(experiment, axes, plan, requested))
 
 
-def in_quickest_form(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> Plan:
-    """The plan with the steps in the form that is quickest for so many lane-periods, compiling included."""
+def in_quickest_form(
+    experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, *, on_card: bool = False
+) -> Plan:
+    """The plan with the steps in the form that is quickest for so many lane-periods, compiling included.
+
+    On a graphics card they are written out: arrays of stages would leave the registers.
+    """
+    if on_card:
+        return plan
     return plan._replace(solver=cost_model.quickest_form(*_job(experiment, axes, plan, requested)))
 
 
@@ -173,7 +180,7 @@ def with_step_classes(
     [sampled] = sample_places(axes, _LANES_CHECKED)
     shape = [len(axis.values) for axis in axes]
     every = points(experiment, axes, np.unravel_index(np.arange(count), shape))
-    few = lanes.in_tiles(cost_model.lanes_a_tile(count), count)
+    few = lanes.on_host().in_tiles(cost_model.lanes_a_tile(count), count)
     with lanes.stage("accuracy: steps of lanes of their own", 0):
         search = ClassSearch(every, plan, experiment.accuracy.target, few)
         classes = find_classes(search, np.ravel_multi_index(sampled, shape))
@@ -221,7 +228,7 @@ def choose(
         for analysis, options in choosing:
             assert analysis.choose is not None
             before = choices.setdefault(analysis.name, {})
-            few = executor_for(analysis, options, experiment.sweep.lanes, lanes)
+            few = executor_for(analysis, options, experiment.sweep.lanes, lanes.on_host())
             for key, number in analysis.choose(options, lane_batch, few).items():
                 before[key] = max(number, before.get(key, number))
     return choices
@@ -293,7 +300,8 @@ def decide(
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
     else:
-        plan = in_quickest_form(experiment, axes, find_plan(experiment, axes, lanes, requested), requested)
+        plan = find_plan(experiment, axes, lanes, requested)
+        plan = in_quickest_form(experiment, axes, plan, requested, on_card=lanes.on_card)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
         plan = with_step_classes(experiment, axes, plan, requested, lanes)
@@ -321,7 +329,7 @@ def check_size(
     if looped.solver != plan.solver:
         iterations /= cost_model.LOOP_OVER_WRITTEN_OUT
     seconds = work * iterations * lanes.accounts.fastest if math.isfinite(lanes.accounts.fastest) else 0.0
-    if count > MOST_LANES or seconds > _LONGEST_RUN:
+    if count > MOST_LANES or (seconds > _LONGEST_RUN and not lanes.on_card):
         size = f", {8e-9 * count:.2g} GB a variable" if count > MOST_LANES else ""
         would = f"{size}, and about {_rounded(work)} lane-periods, {_duration(seconds)} on this machine; --yes goes on"
         raise experiment.too_large(would)

@@ -271,7 +271,7 @@ class _Run:
             self._run_stage(job, [*missing, *last], cost, lambda: self._on_workers(job, (missing, last), cost))
             return
         lanes = self._make_lanes()
-        tile_batches = self._batches(job, missing, len(lanes.devices))
+        tile_batches = self._batches(job, missing, lanes)
         cut = [batch for batch in tile_batches if batch[0].names == job.cutting.independent]
         if len(cut) > 1:
             tile_batches = [batch for batch in tile_batches if batch[0].names != job.cutting.independent]
@@ -287,14 +287,16 @@ class _Run:
         self._run_batches(job, tile_batches, lanes, {})
         self._run_batches(job, [[piece] for piece in last], lanes, {})  # what they are made of has been written
 
-    def _batches(self, job: Job, missing: Sequence[Piece], devices: int) -> list[list[Piece]]:
+    def _batches(self, job: Job, missing: Sequence[Piece], lanes: LaneExecutor) -> list[list[Piece]]:
         """Batches of pieces, first those that a stopped run has begun."""
         rest, begun = {piece.number: piece for piece in missing}, list[list[Piece]]()
         for numbers in interrupted_batches(self._folder, job):
             if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
                 begun.append([rest.pop(number) for number in numbers])
         axes = axes_of(self._experiment.axes, job.cutting)
-        return begun + batches(self._experiment, axes, self._requested, job, list(rest.values()), devices, self._level)
+        there, devices = list(rest.values()), len(lanes.devices)
+        args = self._experiment, axes, self._requested, job, there, devices, self._level
+        return begun + batches(*args, on_card=lanes.on_card)
 
     def _run_stage(self, job: Job, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""

@@ -284,7 +284,8 @@ class Session:
                 f", and {MOST_LANES:,} is the most in memory; a run with an output may have more"
             )
         axes, requested, lanes = experiment.axes, experiment.requested(), self._lanes
-        plan = in_quickest_form(experiment, axes, self._plan_for(experiment, axes), requested)
+        plan = self._plan_for(experiment, axes)
+        plan = in_quickest_form(experiment, axes, plan, requested, on_card=lanes.on_card)
         plan = with_step_classes(experiment, axes, plan, requested, lanes)
         chosen = choose(experiment, axes, plan, requested, lanes)
         job = job_of(experiment, axes, plan, chosen, requested, lanes.machine)
@@ -310,7 +311,8 @@ class Session:
             of_lanes[name] = assemble(parts.pop((name, False)), cutting)
             return of_lanes[name]
 
-        for batch in batches(experiment, axes, requested, job, cutting.pieces(), len(lanes.devices), level):
+        there, devices = cutting.pieces(), len(lanes.devices)
+        for batch in batches(experiment, axes, requested, job, there, devices, level, on_card=lanes.on_card):
             for done in compute(experiment, axes, requested, job, batch, lanes, gather, level):
                 for name, data in done.groups.items():
                     parts.setdefault((name, cutting.is_whole(done.piece)), []).append((done.piece, data))

@@ -30,10 +30,11 @@ from jaxnh.engine.xla_options import configure
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate
 from sweeps.checks.measured_at import ROOT, stamp
-from sweeps.peers.flows import peers_flow_diffrax, peers_flow_heyoka, peers_flow_jaxnh
+from sweeps.peers.flows import peers_flow_diffrax, peers_flow_jaxnh
 from sweeps.peers.flows.peers_flow_cases import CASES
-from sweeps.peers.particle import peers_diffrax, peers_heyoka, peers_jaxnh
+from sweeps.peers.particle import peers_diffrax, peers_jaxnh
 from sweeps.peers.particle.peers_cases import paper
+from sweeps.peers.particle.peers_scene import Setting
 from sweeps.timing.effects import processor
 
 _SECONDS = 0.5  # of a sample
@@ -104,16 +105,41 @@ def rate_of(run: Callable[[], float], seconds: float = _SECONDS) -> float:
     return done / (time.perf_counter() - began)
 
 
-def measured_maps(sizes: Sizes) -> Iterator[MapRow]:
-    """Yield the maps of the particle, Duffing and Lorenz, each beside stock diffrax at the same error."""
-    programs: dict[str, tuple[Any, Any]] = {"particle": (peers_jaxnh, peers_diffrax)}
-    programs |= dict.fromkeys(("duffing", "lorenz"), (peers_flow_jaxnh, peers_flow_diffrax))
-    for name, (ours, stock) in programs.items():
+PROGRAMS: dict[str, tuple[Any, Any]] = {"particle": (peers_jaxnh, peers_diffrax)}
+PROGRAMS |= dict.fromkeys(("duffing", "lorenz"), (peers_flow_jaxnh, peers_flow_diffrax))
+
+
+class Tuned(NamedTuple):
+    """A map's lanes with their true ends, and the settings of both programs that keep each error.
+
+    Attributes:
+        scene: lanes and true ends.
+        settings: of jaxnh and of diffrax, by the error asked for.
+    """
+
+    scene: Any
+    settings: Mapping[float, tuple[list[Setting], list[Setting]]]
+
+
+def tuned_maps(sizes: Sizes) -> dict[str, Tuned]:
+    """Tune both programs on the maps of the particle, Duffing and Lorenz; the device changes no setting."""
+    from sweeps.peers.flows import peers_flow_heyoka  # where a card is, heyoka need not be
+    from sweeps.peers.particle import peers_heyoka
+
+    tuned = {}
+    for name, programs in PROGRAMS.items():
         flow = CASES.get(name)
         scene = peers_flow_heyoka.true_scene(flow, flow.values) if flow else peers_heyoka.true_scene(paper(0.1))
-        contestants = ours.Contestant(scene), stock.Contestant(scene)
-        for target in sizes.targets:
-            settings = [contestant.tune(target) for contestant in contestants]
+        ours, stock = (program.Contestant(scene) for program in programs)
+        tuned[name] = Tuned(scene, {target: (ours.tune(target), stock.tune(target)) for target in sizes.targets})
+    return tuned
+
+
+def measured_maps(sizes: Sizes, tuned: Mapping[str, Tuned]) -> Iterator[MapRow]:
+    """Yield the maps of the particle, Duffing and Lorenz, each beside stock diffrax at the same error."""
+    for name, (scene, by_target) in tuned.items():
+        contestants = [program.Contestant(scene) for program in PROGRAMS[name]]
+        for target, settings in by_target.items():
             for lanes in sizes.lanes:
                 (rate, mine), (other_rate, other) = (
                     max(

@@ -88,7 +88,7 @@ def environment() -> str:
 def _versions() -> list[str]:
     """Versions of Python and libraries, and a hash of the text of this package."""
     text = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[2].rglob("*.py")):
+    for path in sorted(Path(__file__).parents[2].rglob("*.[ph]*")):
         content = path.read_bytes()
         text.update(f"{path.name} {len(content)} ".encode() + content)
     return [sys.version, *(f"{name} {version(name)}" for name in _LIBRARIES), text.hexdigest()]

@@ -57,6 +57,12 @@ def group_into_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], 
     return Blocks(groups[of].astype(np.int32), moved, back, size // block)
 
 
+def evaluate_in_group(*arguments: Any) -> Any:
+    """Evaluate the function of a lane for one lane of a group."""
+    *shared, group, lane, (function, static) = arguments
+    return function(*(part.at(group) if isinstance(part, TreeStack) else part for part in shared), *lane, *static)
+
+
 def evaluate_block(*arguments: Any) -> Any:
     """Evaluate the function of a lane for all lanes of a block."""
     *shared, group, lanes, (function, static) = arguments

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxnh.engine.executor.accounts import Accounts
-from jaxnh.engine.executor.grouped_blocks import evaluate_block, group_into_blocks
+from jaxnh.engine.executor.grouped_blocks import evaluate_block, evaluate_in_group, group_into_blocks
 from jaxnh.engine.executor.programs import Programs
 from jaxnh.engine.executor.tiles import Call, DeviceTiles, Tiles, count_of
 from jaxnh.engine.progress import NullProgress, Progress
@@ -30,6 +30,12 @@ _LONGEST = 1 << 15
 They take a tenth of a second of the fast maps and some seconds of slow ones, and a call a millisecond of its own. It is
 no measured rate that decides, so that a later run makes the same calls.
 """
+
+_ON_CARD = (1 << 10, 1 << 14, 1 << 17, 1 << 20)
+"""Lanes a tile on a graphics card, where every lane is a thread of its own whose bits depend on no other: the least of
+these that holds a call's lanes. Those that fill it up compute beside them."""
+
+_LONGEST_ON_CARD = 1 << 28  # lane-periods in place of `_LONGEST`: seconds
 
 _ROOM = 128  # periods recorded in a call; what is not needed of it takes a hundredth of the time of 64
 
@@ -52,16 +58,28 @@ class LaneExecutor:
         devices: list[Any] | None = None,
         tile: int = TILE,
         programs: Programs | None = None,
+        accounts: Accounts | None = None,
     ) -> None:
-        """Take all devices and no programs, unless told otherwise."""
+        """Take all devices and no programs, unless told otherwise; accounts may be those of another."""
         self.devices: list[Any] = jax.devices() if devices is None else devices
         self.tile = tile
         self.programs = Programs() if programs is None else programs
-        self.accounts = Accounts()
+        self.accounts = Accounts() if accounts is None else accounts
         self._progress = progress or NullProgress()
         self._on_devices = DeviceTiles(self.devices, self.programs, self.accounts)
         self._tiles: Tiles = self._on_devices
         self._spread = True
+
+    @property
+    def on_card(self) -> bool:
+        """Whether its devices are graphics cards."""
+        return self.devices[0].platform != "cpu"
+
+    def on_host(self) -> LaneExecutor:
+        """This executor on the cores of the machine, where few lanes take less time; accounts are shared."""
+        if not self.on_card:
+            return self
+        return LaneExecutor(self._progress, jax.devices("cpu"), accounts=self.accounts)
 
     def split(self) -> list[LaneExecutor]:
         """Executors to be used side by side, each with accounts of its own: one for each device, two for each core.
@@ -69,7 +87,7 @@ class LaneExecutor:
         CPU devices are the cores, on which the programs of one device run side by side as well if threads call them:
         none has to be compiled twice, and a core computes for one executor while another is between two calls.
         """
-        if self.devices[0].platform != "cpu":
+        if self.on_card:
             return [LaneExecutor(self._progress, [device], self.tile) for device in self.devices]
         first, count, programs = self.devices[:1], len(self.devices) * _RUNNERS_A_CORE, Programs()
         return [LaneExecutor(self._progress, first, self.tile, programs) for _ in range(count)]
@@ -79,6 +97,8 @@ class LaneExecutor:
 
         Lanes of one tile go to one device: others would compute its padding.
         """
+        if self.on_card:
+            return self
         smaller = copy.copy(self)
         smaller.tile = min(tile, self.tile)
         smaller._spread = count > smaller.tile
@@ -132,9 +152,8 @@ class LaneExecutor:
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
-        call = Call(
-            function, shared, jax.tree.map(np.asarray, lanes), static, self._tile(shared, tile), periods, self._spread
-        )
+        size = self._tile(shared, count_of(lanes), tile)
+        call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, size, periods, self._spread)
         family = next((part for part in shared if isinstance(part, ParameterFamily)), None)
         if family is None:
             return self._run(call)
@@ -160,7 +179,7 @@ class LaneExecutor:
             lanes: states and parameters.
         """
         state, p = lanes
-        longest = max(1, _LONGEST // self._tile((maps,), tile))
+        longest = max(1, (_LONGEST_ON_CARD if self.on_card else _LONGEST) // self._tile((maps,), count_of(lanes), tile))
         while n > 0:
             count = min(n, longest)
             state = self(iterate, (maps, np.int32(count)), (state, p), periods=count, tile=tile)
@@ -193,9 +212,8 @@ class LaneExecutor:
         tile: int | None = None,
     ) -> tuple[str, int]:
         """The compiled program that such a call runs, as text, and the lanes of a tile in it."""
-        call = Call(
-            function, shared, jax.tree.map(np.asarray, lanes), static, self._tile(shared, tile), 0.0, self._spread
-        )
+        size = self._tile(shared, count_of(lanes), tile)
+        call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, size, 0.0, self._spread)
         return self._on_devices.program(call).as_text(), call.tile
 
     def _run(self, call: Call) -> Any:
@@ -211,6 +229,8 @@ class LaneExecutor:
     def _in_blocks(self, call: Call, group: np.ndarray) -> Any:
         """Lanes of several values of a family, block by block through one program."""
         family = next(part for part in call.shared if isinstance(part, ParameterFamily))
+        if self.on_card:
+            return self._in_threads(call, family, group)
         blocks = group_into_blocks(group, _without(family, call.lanes), call.tile)
         stacks = tuple(part.stack if isinstance(part, ParameterFamily) else part for part in call.shared)
         result = self._run(
@@ -226,8 +246,17 @@ class LaneExecutor:
         )
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[blocks.back], result)
 
-    def _tile(self, shared: tuple[Any, ...], tile: int | None) -> int:
+    def _in_threads(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> Any:
+        """Lanes of several values of a family, each of which looks its own value's tree up."""
+        stacks = tuple(part.stack if isinstance(part, ParameterFamily) else part for part in call.shared)
+        lanes = (group.astype(np.int32), _without(family, call.lanes))
+        static = ((call.function, call.static),)
+        return self._run(call._replace(function=evaluate_in_group, shared=stacks, lanes=lanes, static=static))
+
+    def _tile(self, shared: tuple[Any, ...], count: int, tile: int | None) -> int:
         """Lanes a tile: as many as asked for, but at most as many as the maps in it allow."""
+        if self.on_card:
+            return next((size for size in _ON_CARD if size >= count), _ON_CARD[-1])
         if any(isinstance(part, ParameterFamily) and not part.together for part in shared):
             return _FEW
         most = [most for part in shared if (most := getattr(part, "most_lanes", None))]

@@ -13,6 +13,8 @@ from jax.sharding import Mesh, PartitionSpec
 
 from jaxnh.engine.cache import executables
 from jaxnh.engine.executor.accounts import Accounts
+from jaxnh.engine.kernels.cuda import lane_program
+from jaxnh.engine.kernels.source import shapes_of
 
 _COMPILING = threading.Lock()  # one program at a time: JAX's cache is switched off for it
 
@@ -86,9 +88,15 @@ def _compiled(
     if name and (program := executables.find(name, jax.tree.structure((leaves, {})), devices)):
         return program
 
+    def one(shared: Any, lane: Any) -> Any:
+        return function(*shared, *lane, *static)
+
+    shared, lanes = shapes_of(arguments)
+    count = jax.tree.leaves(lanes)[0].shape[0] // len(devices)
+    side_by_side = lane_program(one, shared, lanes, count, devices[0]) or jax.vmap(one, in_axes=(None, 0))
+
     def tile(*leaves: Any) -> Any:
-        shared, lanes = jax.tree.unflatten(structure, jax.tree.leaves(leaves))
-        return jax.vmap(lambda lane: function(*shared, *lane, *static))(lanes)
+        return side_by_side(*jax.tree.unflatten(structure, jax.tree.leaves(leaves)))
 
     mesh = Mesh(np.array(devices), ("lanes",))
     split = PartitionSpec("lanes")
