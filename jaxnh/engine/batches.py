@@ -23,7 +23,7 @@ Requested = Sequence[tuple[Analysis, Options]]
 
 _BYTES = 1 << 28  # of results that are computed at once
 _LANES = 8192  # that are computed at once: enough to fill the tiles of programs that few of them need
-_LANES_ON_CARD = 1 << 20
+_LANES_ON_CARD, _GROUPS_ON_CARD = 1 << 20, 512  # in place of these on a graphics card
 _MOST_COMPARED = 1 << 14  # values of the shared axes whose periods are compared
 _BATCHES = 4  # a device at least, so that none waits long for the last
 
@@ -50,7 +50,8 @@ def batches(
     held = max(cutting.tile, _BYTES // (8 * max(1, numbers)))
     most_values = 1
     if stackable(experiment, axes, requested, job.plan.solver):
-        most_values = max(1, min(GROUPS, len(pieces) // (_BATCHES * devices)))
+        groups_a_batch = _GROUPS_ON_CARD if on_card else GROUPS
+        most_values = max(1, min(groups_a_batch, len(pieces) // (_BATCHES * devices)))
     alike = _alike(experiment, axes)
     groups: list[list[Piece]] = []
     computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and shared places of the last batch

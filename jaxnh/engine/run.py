@@ -278,7 +278,7 @@ class _Run:
             pieces = [piece for batch in cut for piece in batch]
 
             def all_of_them() -> None:
-                if len(lanes.devices) > 1:
+                if len(lanes.devices) > 1 or lanes.on_card:
                     run_side_by_side(lanes, cut, lambda subset, runner: self._run_batches(job, subset, runner, cost))
                 else:
                     self._run_batches(job, cut, lanes, cost)

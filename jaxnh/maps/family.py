@@ -25,7 +25,7 @@ Other = TypeVar("Other")
 Values = tuple[float, ...]
 
 GROUPS = 32
-"""Trees of a stack, whether it needs them or not: all stacks run through one program."""
+"""Trees of a stack, whether it needs them or not: all stacks of at most so many run through one program."""
 
 
 class ParameterFamily(Generic[Tree]):
@@ -118,7 +118,7 @@ class TreeStack(eqx.Module):
     """Pytrees of one structure.
 
     Attributes:
-        trees: their floating-point numbers stacked, (GROUPS, …); whole numbers are the same in all.
+        trees: their floating-point numbers stacked, (`GROUPS` or more, …); whole numbers are the same in all.
     """
 
     trees: Any
@@ -129,16 +129,18 @@ class TreeStack(eqx.Module):
 
 
 def stack(trees: Sequence[Any]) -> TreeStack:
-    """Stack pytrees of one structure, the last of them repeated in all places that are left.
+    """Stack pytrees of one structure, the last of them repeated up to `GROUPS` or the next power of two.
 
     Raises:
         ValueError: they differ in a whole number.
     """
 
+    places = max(GROUPS, 1 << (len(trees) - 1).bit_length())
+
     def one(*leaves: Any) -> np.ndarray:
         arrays = [np.asarray(leaf) for leaf in leaves]
         if arrays[0].dtype.kind == "f":
-            return np.stack(arrays + arrays[-1:] * (GROUPS - len(arrays)))
+            return np.stack(arrays + arrays[-1:] * (places - len(arrays)))
         if any(not np.array_equal(arrays[0], other) for other in arrays[1:]):
             raise ValueError("trees of one program differ in a whole number")
         return arrays[0]

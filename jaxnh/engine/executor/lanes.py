@@ -31,7 +31,7 @@ They take a tenth of a second of the fast maps and some seconds of slow ones, an
 no measured rate that decides, so that a later run makes the same calls.
 """
 
-_ON_CARD = (1 << 10, 1 << 14, 1 << 17, 1 << 20)
+_ON_CARD = (1 << 12, 1 << 17, 1 << 20)
 """Lanes a tile on a graphics card, where every lane is a thread of its own whose bits depend on no other: the least of
 these that holds a call's lanes. Those that fill it up compute beside them."""
 
@@ -39,6 +39,7 @@ _LONGEST_ON_CARD = 1 << 28  # lane-periods in place of `_LONGEST`: seconds
 
 _ROOM = 128  # periods recorded in a call; what is not needed of it takes a hundredth of the time of 64
 
+_RUNNERS_A_CARD = 3
 _RUNNERS_A_CORE = 2  # of a chart over b and d, 256 values of d: 70 s in place of 77
 
 
@@ -76,21 +77,22 @@ class LaneExecutor:
         return self.devices[0].platform != "cpu"
 
     def on_host(self) -> LaneExecutor:
-        """This executor on the cores of the machine, where few lanes take less time; accounts are shared."""
+        """This executor on a core of the machine, where few lanes take less time; accounts are shared."""
         if not self.on_card:
             return self
-        return LaneExecutor(self._progress, jax.devices("cpu"), accounts=self.accounts)
+        return LaneExecutor(self._progress, jax.devices("cpu")[:1], accounts=self.accounts)
 
     def split(self) -> list[LaneExecutor]:
-        """Executors to be used side by side, each with accounts of its own: one for each device, two for each core.
+        """Executors to be used side by side, each with accounts of its own: some for each device.
 
         CPU devices are the cores, on which the programs of one device run side by side as well if threads call them:
-        none has to be compiled twice, and a core computes for one executor while another is between two calls.
+        none has to be compiled twice, and a device computes for one executor while another is between two calls.
         """
         if self.on_card:
-            return [LaneExecutor(self._progress, [device], self.tile) for device in self.devices]
-        first, count, programs = self.devices[:1], len(self.devices) * _RUNNERS_A_CORE, Programs()
-        return [LaneExecutor(self._progress, first, self.tile, programs) for _ in range(count)]
+            each = [([device], Programs()) for device in self.devices] * _RUNNERS_A_CARD
+        else:
+            each = [(self.devices[:1], Programs())] * (len(self.devices) * _RUNNERS_A_CORE)
+        return [LaneExecutor(self._progress, devices, self.tile, programs) for devices, programs in each]
 
     def in_tiles(self, tile: int, count: int) -> LaneExecutor:
         """This executor with tiles of at most so many lanes, for so many in all; programs and accounts stay common.
@@ -153,7 +155,8 @@ class LaneExecutor:
             The function's results as NumPy arrays with the lanes as first axis.
         """
         size = self._tile(shared, count_of(lanes), tile)
-        call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, size, periods, self._spread)
+        spread = self._spread and count_of(lanes) > size  # other devices would compute what fills up a tile
+        call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, size, periods, spread)
         family = next((part for part in shared if isinstance(part, ParameterFamily)), None)
         if family is None:
             return self._run(call)
@@ -249,9 +252,12 @@ class LaneExecutor:
     def _in_threads(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> Any:
         """Lanes of several values of a family, each of which looks its own value's tree up."""
         stacks = tuple(part.stack if isinstance(part, ParameterFamily) else part for part in call.shared)
-        lanes = (group.astype(np.int32), _without(family, call.lanes))
+        order = np.argsort(group, kind="stable")  # threads side by side read the same entries of tables
+        lanes = jax.tree.map(lambda leaf: leaf[order], (group.astype(np.int32), _without(family, call.lanes)))
         static = ((call.function, call.static),)
-        return self._run(call._replace(function=evaluate_in_group, shared=stacks, lanes=lanes, static=static))
+        result = self._run(call._replace(function=evaluate_in_group, shared=stacks, lanes=lanes, static=static))
+        back = np.argsort(order)
+        return jax.tree.map(lambda leaf: leaf[back], result)
 
     def _tile(self, shared: tuple[Any, ...], count: int, tile: int | None) -> int:
         """Lanes a tile: as many as asked for, but at most as many as the maps in it allow."""

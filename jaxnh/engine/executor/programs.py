@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial, wraps
 from typing import Any
 
 import jax
@@ -13,8 +14,8 @@ from jax.sharding import Mesh, PartitionSpec
 
 from jaxnh.engine.cache import executables
 from jaxnh.engine.executor.accounts import Accounts
-from jaxnh.engine.kernels.cuda import lane_program
-from jaxnh.engine.kernels.source import shapes_of
+from jaxnh.engine.kernels.cuda import capability_of, find_kernel, run_kernel
+from jaxnh.engine.kernels.source import Kernel, shapes_of
 
 _COMPILING = threading.Lock()  # one program at a time: JAX's cache is switched off for it
 
@@ -30,6 +31,7 @@ class Programs:
             options: of XLA, beside those of the process; programs with options of their own are not kept.
         """
         self._programs: dict[Any, Any] = {}
+        self._kernels: dict[Any, Kernel | None] = {}  # for any number of lanes
         self._kept = kept and not options
         self._options = dict(options or {})
 
@@ -65,50 +67,55 @@ class Programs:
             with _COMPILING:
                 began = time.perf_counter()
                 if key not in self._programs:  # by now, as another executor may have needed it
-                    self._programs[key] = _compiled(
-                        function, static, (shared, lanes), devices, self._options, kept=self._kept
-                    )
+                    self._programs[key] = self._find_or_compile(function, static, (shared, lanes), devices)
                 accounts.compile_seconds += time.perf_counter() - began
         return self._programs[key]
 
+    def _find_or_compile(
+        self, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, Any], devices: Sequence[Any]
+    ) -> Any:
+        """The program of such calls, from an earlier run or compiled now."""
+        structure = jax.tree.structure(arguments)
+        leaves = tuple(map(jax.tree.leaves, arguments))
+        name = executables.name_of(function, static, arguments, devices) if self._kept else None
+        if name and (program := executables.find(name, jax.tree.structure((leaves, {})), devices)):
+            return program
+        side_by_side = self._side_by_side(function, static, shapes_of(arguments), devices)
 
-def _compiled(
-    function: Callable[..., Any],
-    static: tuple[Any, ...],
-    arguments: tuple[Any, Any],
-    devices: Sequence[Any],
-    options: dict[str, Any],
-    *,
-    kept: bool,
-) -> Any:
-    """The program of such calls, from an earlier run or compiled now."""
-    structure = jax.tree.structure(arguments)
-    leaves = tuple(map(jax.tree.leaves, arguments))
-    name = executables.name_of(function, static, arguments, devices) if kept else None
-    if name and (program := executables.find(name, jax.tree.structure((leaves, {})), devices)):
+        def tile(*leaves: Any) -> Any:
+            return side_by_side(*jax.tree.unflatten(structure, jax.tree.leaves(leaves)))
+
+        mesh = Mesh(np.array(devices), ("lanes",))
+        split = PartitionSpec("lanes")
+        sharded = jax.shard_map(tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False)
+        lowered = _lower(jax.jit(sharded).trace(*leaves))
+        if self._kept and not name:
+            return lowered.compile(self._options)
+        with executables.compiling():
+            program = lowered.compile(self._options)
+        if name:
+            executables.keep(name, program)
         return program
 
-    def one(shared: Any, lane: Any) -> Any:
-        return function(*shared, *lane, *static)
+    def _side_by_side(
+        self, function: Callable[..., Any], static: tuple[Any, ...], shapes: tuple[Any, Any], devices: Sequence[Any]
+    ) -> Callable[[Any, Any], Any]:
+        """The function of a lane over many: as a kernel where there is one, else by `jax.vmap`."""
 
-    shared, lanes = shapes_of(arguments)
-    count = jax.tree.leaves(lanes)[0].shape[0] // len(devices)
-    side_by_side = lane_program(one, shared, lanes, count, devices[0]) or jax.vmap(one, in_axes=(None, 0))
+        @wraps(function)
+        def one(shared: Any, lane: Any) -> Any:
+            return function(*shared, *lane, *static)
 
-    def tile(*leaves: Any) -> Any:
-        return side_by_side(*jax.tree.unflatten(structure, jax.tree.leaves(leaves)))
-
-    mesh = Mesh(np.array(devices), ("lanes",))
-    split = PartitionSpec("lanes")
-    sharded = jax.shard_map(tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False)
-    lowered = _lower(jax.jit(sharded).trace(*leaves))
-    if kept and not name:
-        return lowered.compile(options)
-    with executables.compiling():
-        program = lowered.compile(options)
-    if name:
-        executables.keep(name, program)
-    return program
+        if capability := capability_of(devices[0]):
+            shared, lanes = shapes
+            lane = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), lanes)
+            leaves, structure = jax.tree.flatten((shared, lane))
+            key = (function, static, tuple((leaf.shape, leaf.dtype) for leaf in leaves), structure)
+            if key not in self._kernels:
+                self._kernels[key] = find_kernel(one, shared, lane)
+            if kernel := self._kernels[key]:
+                return partial(run_kernel, kernel, capability)
+        return jax.vmap(one, in_axes=(None, 0))
 
 
 def _lower(traced: Any) -> Any:

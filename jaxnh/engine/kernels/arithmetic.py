@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnh.engine.kernels.arrays import rearranged
 from jaxnh.engine.kernels.emitter import Emitter, Rule, filled, place_at, result_kind
 from jaxnh.engine.kernels.values import Scalars, Stored, UnsupportedError, Value, in_registers, is_known, size_of, text_of
 
@@ -18,7 +19,7 @@ _CALLED |= {"is_finite": "is_finite", "logistic": "logistic", "integer_abs": "ab
 _CALLED |= {
     name: name
     for name in (
-        "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp exp2 expm1 log log1p sqrt rsqrt cbrt floor ceil "
+        "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp exp2 expm1 log log2 log1p sqrt rsqrt cbrt floor ceil "
         "erf erfc nextafter"
     ).split()
 }
@@ -98,6 +99,8 @@ def _expression(equation: Any) -> Callable[..., str]:
         "not": _negated,
         "abs": _absolute,
         "square": lambda kind, x: f"{x} * {x}",
+        "one_minus_square": lambda kind, x: f"(1 + {x}) * (1 - {x})",
+        "shift_right_arithmetic": lambda kind, x, y: f"{x} >> {y}",
         "round": lambda kind, x: f"{'rint' if 'EVEN' in str(params['rounding_method']) else 'round'}({x})",
         "select_n": _select,
         "clamp": lambda kind, low, x, high: f"smaller(larger({x}, {low}), {high})",
@@ -111,21 +114,40 @@ def elementwise(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> lis
     if equation.primitive.name in _SAME:
         return [*inputs]
     expression = _expression(equation)
+    inputs = [_broadcast(emitter, value, shape) for value in inputs]
     if not in_registers(shape):
         return [_in_memory(emitter, shape, kind, expression, inputs)]
     columns = [_spread(emitter.scalars(value), size_of(shape)) for value in inputs]
     kinds = [value.kind for value in inputs]
-    results = [
-        _known_result(equation, kind, row)
-        if _folds(equation.primitive.name, kinds, row)
-        else emitter.let(kind, expression(_leading(kinds), *map(text_of, row, kinds)))
-        for row in zip(*columns, strict=True)
-    ]
+    results = []
+    for row in zip(*columns, strict=True):
+        if _folds(equation.primitive.name, kinds, row):
+            results.append(_known_result(equation, kind, row))
+        elif (same := _neutral(equation.primitive.name, kinds, row)) is not None:
+            results.append(same)
+        else:
+            results.append(emitter.let(kind, expression(kinds[0], *map(text_of, row, kinds))))
     return [filled(shape, kind, results)]
 
 
-def _leading(kinds: Sequence[str]) -> str:
-    return kinds[0]
+def _neutral(name: str, kinds: Sequence[str], row: Sequence[Any]) -> Any:
+    """Return the operand that a sum with zero or a product with one is, as XLA has it; None where it is neither."""
+    if len(row) != 2 or kinds[0] not in ("double", "float"):
+        return None
+    zero, one = ([is_known(x) and x == number for x in row] for number in (0.0, 1.0))
+    if name in ("add", "add_any") and any(zero):
+        return row[0] if zero[1] else row[1]
+    if name == "mul" and any(one):
+        return row[0] if one[1] else row[1]
+    right = (name == "sub" and zero[1]) or (name == "div" and one[1])
+    return row[0] if right else None
+
+
+def _broadcast(emitter: Emitter, value: Value, shape: tuple[int, ...]) -> Value:
+    """Return a value of another shape repeated along axes of length one; a single number stays one."""
+    if value.shape == shape or size_of(value.shape) == 1:
+        return value
+    return rearranged(emitter, lambda x: np.broadcast_to(x, shape), [value])
 
 
 def _spread(value: Scalars, count: int) -> list[Any]:
@@ -162,7 +184,7 @@ def _in_memory(
     operands = [emitter.stored(value) if size_of(value.shape) > 1 else value for value in operands]
     with emitter.each(size_of(shape)) as i:
         texts = [f"{v.name}[{i}]" if isinstance(v, Stored) else text_of(v.flat[0], v.kind) for v in operands]
-        emitter.line(f"{memory.name}[{i}] = {expression(_leading(kinds), *texts)};")
+        emitter.line(f"{memory.name}[{i}] = {expression(kinds[0], *texts)};")
     return memory
 
 
@@ -253,7 +275,7 @@ def cumulative(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list
 
 def rules() -> dict[str, Rule]:
     """The rules of operations on numbers, by the name of the primitive."""
-    single = ("round", "neg", "not", "abs", "square", "select_n", "clamp", "and", "or", "xor", "integer_pow")
+    single = ("round", "one_minus_square", "shift_right_arithmetic", "neg", "not", "abs", "square", "select_n", "clamp", "and", "or", "xor", "integer_pow")
     converted = ("convert_element_type", "reduce_precision", "bitcast_convert_type")
     table: dict[str, Rule] = dict.fromkeys((*_INFIX, *_CALLED, *_SAME, *single, *converted), elementwise)
     table |= dict.fromkeys(_REDUCTIONS, reduction)

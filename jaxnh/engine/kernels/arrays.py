@@ -86,6 +86,7 @@ def _rearrangement(equation: Any) -> Rearrangement:
         "expand_dims": lambda x: x.reshape(shape),
         "transpose": lambda x: x.transpose(p["permutation"]),
         "rev": lambda x: np.flip(x, p["dimensions"]),
+        "tile": lambda x: np.tile(x, p["reps"]),
         "concatenate": lambda *x: np.concatenate(x, axis=p["dimension"]),
         "stack": lambda *x: np.stack(x, axis=p["axis"]),
     }[name]
@@ -106,6 +107,34 @@ def split(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Valu
 
     cuts = zip(starts, ends, strict=True)
     return [rearranged(emitter, functools.partial(part, start=a, end=b), inputs) for a, b in cuts]
+
+
+def unstack(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value]:
+    """Write an array's entries along an axis."""
+    axis = equation.params["axis"]
+    return [
+        rearranged(emitter, functools.partial(np.take, indices=k, axis=axis), inputs)
+        for k in range(inputs[0].shape[axis])
+    ]
+
+
+def pad(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value]:
+    """Write an array with a number around it, and between its entries."""
+    widths = equation.params["padding_config"]
+
+    def padded(x: np.ndarray, fill: np.ndarray) -> np.ndarray:
+        for axis, (low, high, inner) in enumerate(widths):
+            count = x.shape[axis]
+            shape = [*x.shape]
+            shape[axis] = max(0, low + high + count + inner * max(0, count - 1))
+            wide, moved = np.full(shape, fill), np.moveaxis
+            for k in range(count):
+                if 0 <= low + k * (inner + 1) < shape[axis]:
+                    moved(wide, axis, 0)[low + k * (inner + 1)] = moved(x, axis, 0)[k]
+            x = wide
+        return x
+
+    return [rearranged(emitter, padded, inputs)]
 
 
 def iota(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value]:
@@ -337,8 +366,8 @@ def _rows(shape: tuple[int, ...], axes: Sequence[int], batch: Sequence[int]) -> 
 
 def rules() -> dict[str, Rule]:
     """The rules of operations on arrays, by the name of the primitive."""
-    moved = ("broadcast_in_dim", "slice", "reshape", "squeeze", "expand_dims", "transpose", "rev", "concatenate", "stack")
+    moved = ("broadcast_in_dim", "slice", "reshape", "squeeze", "expand_dims", "transpose", "rev", "concatenate", "stack", "tile")
     table: dict[str, Rule] = dict.fromkeys(moved, structural)
-    table |= {"split": split, "iota": iota, "gather": gather, "dot_general": dot_general}
+    table |= {"split": split, "unstack": unstack, "pad": pad, "iota": iota, "gather": gather, "dot_general": dot_general}
     table |= {"dynamic_slice": dynamic_slice, "dynamic_update_slice": dynamic_update_slice}
     return table | dict.fromkeys(("scatter", "scatter-add"), scatter)

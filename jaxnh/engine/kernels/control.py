@@ -86,7 +86,8 @@ def while_loop(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list
 def scan(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value]:
     """Write a loop of known length over entries of arrays; a short one is written out."""
     p = equation.params
-    count, fixed, carried = p["length"], p["num_consts"], p["num_carry"]
+    count = p["length"]
+    fixed, carried = _counts(p)
     consts = [v._replace(free=False) if isinstance(v, Stored) else v for v in inputs[:fixed]]
     inits, entries = inputs[fixed : fixed + carried], inputs[fixed + carried :]
     if count * _equations(p["jaxpr"].jaxpr) <= _WRITTEN_OUT:
@@ -103,6 +104,14 @@ def scan(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value
             emitter.copied(value, Stored(f"({result.name} + {place} * {size})", result.shape[1:], result.kind))
         _update(emitter, carries, values[:carried])
     return [*carries, *results]
+
+
+def _counts(p: Any) -> tuple[int, int]:
+    """Return how many of a loop's operands are fixed, and how many are carried."""
+    if "ft_in" in p:  # since JAX 0.11
+        fixed, carried, _ = map(len, p["ft_in"].unpack())
+        return fixed, carried
+    return p["num_consts"], p["num_carry"]
 
 
 def _equations(jaxpr: Any) -> int:
@@ -127,7 +136,7 @@ def _row(emitter: Emitter, source: Stored, place: str) -> Value:
 def _written_out(
     emitter: Emitter, p: Any, consts: Sequence[Value], inits: Sequence[Value], entries: Sequence[Value]
 ) -> list[Value]:
-    count, carried = p["length"], p["num_carry"]
+    count, carried = p["length"], _counts(p)[1]
     carries, rows = [*inits], [list[Value]() for _ in p["jaxpr"].jaxpr.outvars[carried:]]
     for k in reversed(range(count)) if p["reverse"] else range(count):
         here = [rearranged(emitter, lambda x, k=k: x[k], [value]) for value in entries]

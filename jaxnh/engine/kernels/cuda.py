@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import re
 from collections.abc import Callable
 from functools import cache
@@ -11,68 +12,67 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from jaxnh.engine.kernels.source import NAME, THREADS, Kernel, write_kernel
 from jaxnh.engine.kernels.values import UnsupportedError
 
+_LOG = logging.getLogger(__name__)
 _TARGET = "__gpu$xla.gpu.ptx"  # XLA's own call of a kernel given as PTX
 _CAPABILITY = re.compile(r"(\d+)\.(\d+)")  # of NVIDIA's devices
 _NAMES = ("libnvrtc.so", "libnvrtc.so.13", "libnvrtc.so.12")
 
 
-def lane_program(
-    function: Callable[..., Any], shared: Any, lanes: Any, count: int, device: Any
-) -> Callable[[Any, Any], Any] | None:
-    """Return function(shared, lane) over so many lanes as a kernel.
+def capability_of(device: Any) -> str:
+    """Return the capability of a device for which kernels can be compiled here, as "90"; "" where they cannot."""
+    found = _CAPABILITY.fullmatch(str(getattr(device, "compute_capability", "")))
+    return "" if found is None or _nvrtc() is None else found[1] + found[2]
+
+
+def find_kernel(function: Callable[..., Any], shared: Any, one: Any) -> Kernel | None:
+    """Return the kernel of function(shared, lane), or None: it has an operation that kernels do not know.
 
     Args:
         function: pure function of what all lanes share and of one lane.
         shared: pytree of shapes and types.
-        lanes: pytree of shapes and types, the lanes as first axis.
-        count: lanes of a device.
-        device: that it runs on.
-
-    Returns:
-        A function of the two pytrees, to be traced; None where there is no kernel: another kind of device, no compiler
-        for CUDA, an operation that kernels do not know.
+        one: pytree of shapes and types of a lane.
     """
-    capability = _CAPABILITY.fullmatch(str(getattr(device, "compute_capability", "")))
-    if capability is None or _nvrtc() is None:
-        return None
     try:
-        kernel = write_kernel(function, shared, lanes, count)
-    except UnsupportedError:
+        return write_kernel(function, shared, one)
+    except UnsupportedError as error:
+        _LOG.info("no kernel of %s: %s", getattr(function, "__name__", function), error)
         return None
-    ptx = compile_kernel(kernel.text, f"compute_{capability[1]}{capability[2]}")
-    return _call_of(kernel, ptx, count)
 
 
-def _call_of(kernel: Kernel, ptx: str, count: int) -> Callable[[Any, Any], Any]:
-    """Return the call of a compiled kernel."""
+def run_kernel(kernel: Kernel, capability: str, shared: Any, lanes: Any) -> Any:
+    """Run a kernel over lanes, to be traced in a program for the device.
+
+    Args:
+        capability: of the device (`capability_of`).
+        shared, lanes: pytrees of arrays; those of lanes have them as first axis.
+
+    Raises:
+        RuntimeError: the compiler refuses the kernel.
+    """
+    count = jax.tree.leaves(lanes)[0].shape[0]
     results = [jax.ShapeDtypeStruct((count, *result.shape), result.dtype) for result in kernel.results]
-
-    def call(shared: Any, lanes: Any) -> Any:
-        arguments = jax.tree.leaves((shared, lanes))
-        words = {
-            "name": _quoted(NAME),
-            "kernel_type": _quoted("ptx"),
-            "kernel_data": _quoted(ptx),
-            "grid_x": -(-count // THREADS),
-            "grid_y": 1,
-            "grid_z": 1,
-            "block_x": THREADS,
-            "block_y": 1,
-            "block_z": 1,
-            "shared_mem_bytes": 0,
-            "output_indices": list(range(len(arguments), len(arguments) + len(results))),
-        }
-        config = ", ".join(f"{name} = {value}" for name, value in words.items())
-        run = jax.ffi.ffi_call(
-            _TARGET, results, custom_call_api_version=2, legacy_backend_config=f"{{{config}}}", vmap_method=None
-        )
-        return jax.tree.unflatten(kernel.structure, run(*arguments))
-
-    return call
+    arguments = [jnp.asarray(count, jnp.int64), *jax.tree.leaves((shared, lanes))]
+    words = {
+        "name": _quoted(NAME),
+        "kernel_type": _quoted("ptx"),
+        "kernel_data": _quoted(compile_kernel(kernel.text, f"compute_{capability}")),
+        "grid_x": -(-count // THREADS),
+        "grid_y": 1,
+        "grid_z": 1,
+        "block_x": THREADS,
+        "block_y": 1,
+        "block_z": 1,
+        "shared_mem_bytes": 0,
+        "output_indices": list(range(len(arguments), len(arguments) + len(results))),
+    }
+    config = ", ".join(f"{name} = {value}" for name, value in words.items())
+    run = jax.ffi.ffi_call(_TARGET, results, custom_call_api_version=2, legacy_backend_config=f"{{{config}}}")
+    return jax.tree.unflatten(kernel.structure, run(*arguments))
 
 
 def _quoted(text: str) -> str:

@@ -24,6 +24,7 @@ from jaxnh.engine.kernels.values import (
 )
 
 _MOST_LINES = 60_000
+_BYTES = {"float": 4, "int": 4, "unsigned int": 4, "bool": 1, "short": 2, "signed char": 1, "unsigned char": 1}
 
 
 class Rule(Protocol):
@@ -47,6 +48,7 @@ class Emitter:
         self.lines: list[str] = []
         self.tables: dict[str, str] = {}
         self.viewed: set[str] = set()
+        self._declared: dict[str, tuple[int, int]] = {}  # line and bytes of each array of a lane's own
         self._rules = rules
         self._numbers = itertools.count()
 
@@ -83,9 +85,23 @@ class Emitter:
 
     def memory(self, shape: tuple[int, ...], kind: str) -> Stored:
         """Declare an array of the lane's own."""
-        name = self.name("a")
-        self.line(f"{kind} {name}[{max(1, size_of(shape))}];")
+        name, count = self.name("a"), max(1, size_of(shape))
+        self._declared[name] = len(self.lines), count * _BYTES.get(kind, 8)
+        self.line(f"{kind} {name}[{count}];")
         return Stored(name, shape, kind, free=True)
+
+    @property
+    def own_bytes(self) -> int:
+        """Bytes of all arrays of a lane's own."""
+        return sum(count for _, count in self._declared.values())
+
+    def placed(self, memory: Stored, place: str) -> bool:
+        """Put an array of the lane's own where a pointer says, if it is one; return whether it is."""
+        if memory.name not in self._declared:
+            return False
+        line, _ = self._declared.pop(memory.name)
+        self.lines[line] = f"{memory.kind}* {memory.name} = {place};"
+        return True
 
     @contextmanager
     def each(self, count: int) -> Iterator[str]:

@@ -12,13 +12,16 @@ import numpy as np
 
 from jaxnh.engine.kernels import arithmetic, arrays, control
 from jaxnh.engine.kernels.emitter import Emitter, filled
-from jaxnh.engine.kernels.values import Stored, Value, in_registers, kind_of, size_of, text_of
+from jaxnh.engine.kernels.values import Stored, UnsupportedError, Value, in_registers, kind_of, size_of, text_of
 
 NAME = "lanes"
-"""The kernel's name; its arguments are pointers to what lanes share, to what they have each, and to the results."""
+"""The kernel's name; its arguments are pointers to the number of lanes, to what they share, to what they have each, and to
+the results."""
 
 THREADS = 128
 """Threads of a block."""
+
+_MOST_BYTES = 1 << 15  # of arrays of a lane's own, which a card keeps for all lanes that it may hold: 9 GB
 
 
 class Kernel(NamedTuple):
@@ -35,19 +38,17 @@ class Kernel(NamedTuple):
     structure: Any
 
 
-def write_kernel(function: Callable[..., Any], shared: Any, lanes: Any, count: int) -> Kernel:
-    """Write the kernel of function(shared, lane) for so many lanes.
+def write_kernel(function: Callable[..., Any], shared: Any, one: Any) -> Kernel:
+    """Write the kernel of function(shared, lane), for any number of lanes.
 
     Args:
         function: pure function of what all lanes share and of one lane.
         shared: pytree of shapes and types.
-        lanes: pytree of shapes and types, the lanes as first axis.
-        count: lanes.
+        one: pytree of shapes and types of a lane.
 
     Raises:
         UnsupportedError: the function has an operation that kernels do not know.
     """
-    one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), lanes)
     closed, out = jax.make_jaxpr(function, return_shape=True)(shared, one)
     emitter = Emitter(_rules())
     inputs, declared = [], list[str]()
@@ -61,6 +62,8 @@ def write_kernel(function: Callable[..., Any], shared: Any, lanes: Any, count: i
     for number, (value, result) in enumerate(zip(values, results, strict=True)):
         _write_result(emitter, f"r{number}", value, tuple(result.shape))
         declared.append(f"{kind_of(result.dtype)}* __restrict__ r{number}")
+    if emitter.own_bytes > _MOST_BYTES:
+        raise UnsupportedError(f"{emitter.own_bytes} bytes of memory a lane")
     names = [text.rsplit(" ", 1)[1] for text in declared]
     text = "\n".join(
         [
@@ -70,8 +73,8 @@ def write_kernel(function: Callable[..., Any], shared: Any, lanes: Any, count: i
             f"ONE_LANE void one(const long long lane, {', '.join(declared)}) {{",
             *emitter.lines,
             "}",
-            f"LANES {NAME}({', '.join(declared)}) {{",
-            f"EACH_LANE({count}LL) one(lane, {', '.join(names)});",
+            f"LANES {NAME}(const long long* __restrict__ count, {', '.join(declared)}) {{",
+            f"EACH_LANE(*count) one(lane, {', '.join(names)});",
             "}",
             "",
         ]
@@ -92,8 +95,9 @@ def _argument(
 def _write_result(emitter: Emitter, name: str, value: Value, shape: tuple[int, ...]) -> None:
     size = size_of(shape)
     if isinstance(value, Stored):
-        with emitter.each(size) as i:
-            emitter.line(f"{name}[lane * {size}LL + {i}] = {value.name}[{i}];")
+        if not (value.free and emitter.placed(value, f"({name} + lane * {size}LL)")):
+            with emitter.each(size) as i:
+                emitter.line(f"{name}[lane * {size}LL + {i}] = {value.name}[{i}];")
         return
     for k, element in enumerate(value.flat):
         emitter.line(f"{name}[lane * {size}LL + {k}] = {text_of(element, value.kind)};")
