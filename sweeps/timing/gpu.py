@@ -64,6 +64,7 @@ class Sizes(NamedTuple):
 
 
 FULL = Sizes((1e-6, 1e-9), (1 << 12, 1 << 16, 1 << 20), 1 << 16, 100_000, (1024, 4096), (10_000, 6), 1024)
+MIDDLE = FULL._replace(lanes=(1 << 16, 1 << 20), charts=(1024,), levels=(3200, 6), basins=256)
 SMALL = Sizes((1e-6,), (256,), 64, 64, (16,), (33, 3), 16)
 
 

@@ -159,8 +159,8 @@ def test_accounts():
     assert lanes.accounts.lane_periods == 120
     compiled, ran = lanes.accounts.compile_seconds, lanes.accounts.run_seconds
     assert compiled > 0
-    lanes(_double, (), (np.arange(5.0),), periods=2)
-    assert lanes.accounts.lane_periods == 130
+    lanes(_double, (), (np.arange(10.0),), periods=2)
+    assert lanes.accounts.lane_periods == 140
     assert lanes.accounts.compile_seconds == compiled
     assert lanes.accounts.run_seconds > ran
 

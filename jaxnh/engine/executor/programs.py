@@ -76,18 +76,22 @@ class Programs:
     ) -> Any:
         """The program of such calls, from an earlier run or compiled now."""
         structure = jax.tree.structure(arguments)
-        leaves = tuple(map(jax.tree.leaves, arguments))
+        leaves: tuple[Any, ...] = tuple(map(jax.tree.leaves, arguments))
+        if takes_count(devices):
+            leaves = *leaves, np.int64(0)
         name = executables.name_of(function, static, arguments, devices) if self._kept else None
         if name and (program := executables.find(name, jax.tree.structure((leaves, {})), devices)):
             return program
         side_by_side = self._side_by_side(function, static, shapes_of(arguments), devices)
 
-        def tile(*leaves: Any) -> Any:
-            return side_by_side(*jax.tree.unflatten(structure, jax.tree.leaves(leaves)))
+        def tile(shared: Any, lanes: Any, *asked: Any) -> Any:
+            own = jax.tree.unflatten(structure, jax.tree.leaves((shared, lanes)))
+            return side_by_side(*own, *(count - jax.lax.axis_index("lanes") * len(lanes[0]) for count in asked))
 
         mesh = Mesh(np.array(devices), ("lanes",))
-        split = PartitionSpec("lanes")
-        sharded = jax.shard_map(tile, mesh=mesh, in_specs=(PartitionSpec(), split), out_specs=split, check_vma=False)
+        split, same = PartitionSpec("lanes"), PartitionSpec()
+        specs = (same, split, same)[: len(leaves)]
+        sharded = jax.shard_map(tile, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
         lowered = _lower(jax.jit(sharded).trace(*leaves))
         if self._kept and not name:
             return lowered.compile(self._options)
@@ -115,7 +119,15 @@ class Programs:
                 self._kernels[key] = find_kernel(one, shared, lane)
             if kernel := self._kernels[key]:
                 return partial(run_kernel, kernel, capability)
-        return jax.vmap(one, in_axes=(None, 0))
+        return lambda shared, lanes, *asked: jax.vmap(one, in_axes=(None, 0))(shared, lanes)
+
+
+def takes_count(devices: Sequence[Any]) -> bool:
+    """Return whether programs for these devices take, after all else, the number of lanes that are asked for.
+
+    On a graphics card lanes that fill up a tile end at once.
+    """
+    return devices[0].platform != "cpu"
 
 
 def _lower(traced: Any) -> Any:

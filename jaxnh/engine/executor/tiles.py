@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnh.engine.executor.accounts import Accounts
-from jaxnh.engine.executor.programs import Programs
+from jaxnh.engine.executor.programs import Programs, takes_count
 from jaxnh.maps.family import TreeStack
 from jaxnh.maps.protocol import ReturnMap
 
@@ -73,13 +73,15 @@ class DeviceTiles:
         iterations = call.periods and call.periods * chunk * inner_trip_count(call.shared)
         for number in range(first, count, chunk):
             part = [_pad(leaf[number : number + chunk], chunk) for leaf in leaves]
+            left = min(chunk, count - number)
+            asked = (np.int64(left),) if takes_count(devices) else ()
             began = time.perf_counter()
-            result = jax.tree.map(np.asarray, program(placed, part))
+            result = jax.tree.map(np.asarray, program(placed, part, *asked))
             seconds = time.perf_counter() - began
             self._accounts.run_seconds += seconds
             if iterations:
                 self._accounts.fastest = min(self._accounts.fastest, seconds / iterations)
-            if (left := min(chunk, count - number)) < chunk:
+            if left < chunk:
                 result = jax.tree.map(lambda leaf, left=left: leaf[:left], result)
             yield number, result
 

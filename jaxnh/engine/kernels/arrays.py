@@ -184,6 +184,9 @@ def dynamic_slice(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> l
     if in_registers(sizes):
         elements = [emitter.let(value.kind, f"{source.name}[{base} + {k}]") for k in offsets]
         return [filled(sizes, value.kind, elements)]
+    if (np.diff(offsets) == 1).all():  # as one of several tables
+        emitter.viewed.add(source.name)
+        return [Stored(f"({source.name} + {base})", sizes, value.kind)]
     memory = emitter.memory(sizes, value.kind)
     with emitter.each(len(offsets)) as i:
         emitter.line(f"{memory.name}[{i}] = {source.name}[{base} + {place_at(emitter, offsets, i)}];")

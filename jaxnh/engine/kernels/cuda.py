@@ -44,19 +44,20 @@ def find_kernel(function: Callable[..., Any], shared: Any, one: Any) -> Kernel |
         return None
 
 
-def run_kernel(kernel: Kernel, capability: str, shared: Any, lanes: Any) -> Any:
+def run_kernel(kernel: Kernel, capability: str, shared: Any, lanes: Any, asked: Any) -> Any:
     """Run a kernel over lanes, to be traced in a program for the device.
 
     Args:
         capability: of the device (`capability_of`).
         shared, lanes: pytrees of arrays; those of lanes have them as first axis.
+        asked: number of lanes that are computed, the first ones; results of the others are arbitrary.
 
     Raises:
         RuntimeError: the compiler refuses the kernel.
     """
     count = jax.tree.leaves(lanes)[0].shape[0]
     results = [jax.ShapeDtypeStruct((count, *result.shape), result.dtype) for result in kernel.results]
-    arguments = [jnp.asarray(count, jnp.int64), *jax.tree.leaves((shared, lanes))]
+    arguments = [jnp.asarray(asked, jnp.int64), *jax.tree.leaves((shared, lanes))]
     words = {
         "name": _quoted(NAME),
         "kernel_type": _quoted("ptx"),

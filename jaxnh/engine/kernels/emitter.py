@@ -96,10 +96,11 @@ class Emitter:
         return sum(count for _, count in self._declared.values())
 
     def placed(self, memory: Stored, place: str) -> bool:
-        """Put an array of the lane's own where a pointer says, if it is one; return whether it is."""
-        if memory.name not in self._declared:
+        """Put an array of the lane's own where a pointer says, if it is a whole one; return whether it is."""
+        line, count = self._declared.get(memory.name, (0, 0))
+        if count != size_of(memory.shape) * _BYTES.get(memory.kind, 8):
             return False
-        line, _ = self._declared.pop(memory.name)
+        del self._declared[memory.name]
         self.lines[line] = f"{memory.kind}* {memory.name} = {place};"
         return True
 

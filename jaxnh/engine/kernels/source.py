@@ -87,7 +87,7 @@ def _argument(
 ) -> Value:
     kind = kind_of(dtype)
     declared.append(f"const {kind}* __restrict__ {name}")
-    if not in_registers(shape):
+    if not in_registers(shape) or (place == "0" and shape):  # of what lanes share an entry may be looked up
         return Stored(f"({name} + {place})", shape, kind)
     return filled(shape, kind, [emitter.let(kind, f"{name}[{place} + {k}]") for k in range(size_of(shape))])
 
@@ -95,7 +95,7 @@ def _argument(
 def _write_result(emitter: Emitter, name: str, value: Value, shape: tuple[int, ...]) -> None:
     size = size_of(shape)
     if isinstance(value, Stored):
-        if not (value.free and emitter.placed(value, f"({name} + lane * {size}LL)")):
+        if not emitter.placed(value, f"({name} + lane * {size}LL)"):
             with emitter.each(size) as i:
                 emitter.line(f"{name}[lane * {size}LL + {i}] = {value.name}[{i}];")
         return
