@@ -126,13 +126,19 @@ def _processor() -> str:
 def devices_of(config: Config) -> list[Any]:
     """Return the devices of JAX that compute.
 
+    Where they are graphics cards, what is computed outside of their programs, tables and single numbers, stays on the
+    host from now on.
+
     Raises:
         ConfigError: JAX finds none of the kind that the config names.
     """
     try:
-        return jax.devices(config.device)
+        found = jax.devices(config.device)
     except RuntimeError:
         raise config.missing_device(", ".join(sorted({device.device_kind for device in jax.devices()}))) from None
+    if found[0].platform != "cpu":
+        jax.config.update("jax_default_device", jax.devices("cpu")[0])
+    return found
 
 
 @cache

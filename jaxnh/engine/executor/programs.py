@@ -86,7 +86,9 @@ class Programs:
 
         def tile(shared: Any, lanes: Any, *asked: Any) -> Any:
             own = jax.tree.unflatten(structure, jax.tree.leaves((shared, lanes)))
-            return side_by_side(*own, *(count - jax.lax.axis_index("lanes") * len(lanes[0]) for count in asked))
+            return side_by_side(
+                *own, *(count - jax.lax.axis_index("lanes").astype(np.int64) * len(lanes[0]) for count in asked)
+            )
 
         mesh = Mesh(np.array(devices), ("lanes",))
         split, same = PartitionSpec("lanes"), PartitionSpec()
@@ -103,7 +105,7 @@ class Programs:
 
     def _side_by_side(
         self, function: Callable[..., Any], static: tuple[Any, ...], shapes: tuple[Any, Any], devices: Sequence[Any]
-    ) -> Callable[[Any, Any], Any]:
+    ) -> Callable[..., Any]:
         """The function of a lane over many: as a kernel where there is one, else by `jax.vmap`."""
 
         @wraps(function)

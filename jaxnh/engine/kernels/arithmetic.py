@@ -7,22 +7,31 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from jax.lax import RoundingMethod
 
 from jaxnh.engine.kernels.arrays import rearranged
 from jaxnh.engine.kernels.emitter import Emitter, Rule, filled, place_at, result_kind
-from jaxnh.engine.kernels.values import Scalars, Stored, UnsupportedError, Value, in_registers, is_known, size_of, text_of
+from jaxnh.engine.kernels.values import (
+    Memory,
+    Scalars,
+    UnsupportedError,
+    Value,
+    in_registers,
+    is_known,
+    size_of,
+    text_of,
+)
 
 _INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/", "eq": "==", "ne": "!=", "lt": "<", "le": "<="}
 _INFIX |= {"gt": ">", "ge": ">=", "shift_left": "<<", "shift_right_logical": ">>"}
 _CALLED = {"max": "larger", "min": "smaller", "rem": "remainder_of", "sign": "sign_of"}
 _CALLED |= {"is_finite": "is_finite", "logistic": "logistic", "integer_abs": "abs", "atan2": "atan2", "pow": "pow"}
-_CALLED |= {
-    name: name
-    for name in (
-        "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp exp2 expm1 log log2 log1p sqrt rsqrt cbrt floor ceil "
-        "erf erfc nextafter"
-    ).split()
-}
+_UNCHANGED = (
+    *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
+    *("exp", "exp2", "expm1", "log", "log2", "log1p", "sqrt", "rsqrt", "cbrt", "floor", "ceil"),
+    *("erf", "erfc", "nextafter"),
+)
+_CALLED |= {name: name for name in _UNCHANGED}
 _SAME = ("stop_gradient", "copy", "copy_p", "optimization_barrier")
 
 # Of known whole numbers and truth values, so that places in arrays are known where they can be.
@@ -101,7 +110,9 @@ def _expression(equation: Any) -> Callable[..., str]:
         "square": lambda kind, x: f"{x} * {x}",
         "one_minus_square": lambda kind, x: f"(1 + {x}) * (1 - {x})",
         "shift_right_arithmetic": lambda kind, x, y: f"{x} >> {y}",
-        "round": lambda kind, x: f"{'rint' if 'EVEN' in str(params['rounding_method']) else 'round'}({x})",
+        "round": lambda kind, x: (
+            f"{'rint' if params['rounding_method'] == RoundingMethod.TO_NEAREST_EVEN else 'round'}({x})"
+        ),
         "select_n": _select,
         "clamp": lambda kind, low, x, high: f"smaller(larger({x}, {low}), {high})",
     }
@@ -178,12 +189,12 @@ def _known_result(equation: Any, kind: str, row: Sequence[Any]) -> Any:
 
 def _in_memory(
     emitter: Emitter, shape: tuple[int, ...], kind: str, expression: Callable[..., str], inputs: Sequence[Value]
-) -> Stored:
+) -> Memory:
     operands = [value if size_of(value.shape) > 1 else emitter.scalars(value) for value in inputs]
     memory, kinds = emitter.memory(shape, kind), [value.kind for value in inputs]
     operands = [emitter.stored(value) if size_of(value.shape) > 1 else value for value in operands]
     with emitter.each(size_of(shape)) as i:
-        texts = [f"{v.name}[{i}]" if isinstance(v, Stored) else text_of(v.flat[0], v.kind) for v in operands]
+        texts = [f"{v.name}[{i}]" if isinstance(v, Memory) else text_of(v.flat[0], v.kind) for v in operands]
         emitter.line(f"{memory.name}[{i}] = {expression(kinds[0], *texts)};")
     return memory
 
@@ -268,14 +279,28 @@ def cumulative(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list
     step = 1 if params["reverse"] else -1
     for k in order:
         for place in np.ndindex(rows.shape[1:]):
-            before, here = (text_of(rows[j][place], value.kind) for j in (k + step, k))
+            before, here = (text_of(rows[(j, *place)], value.kind) for j in (k + step, k))
             rows[(k, *place)] = emitter.let(value.kind, f"{before} {mark} {here}")
     return [Scalars(np.moveaxis(rows, 0, params["axis"]), value.kind)]
 
 
 def rules() -> dict[str, Rule]:
     """The rules of operations on numbers, by the name of the primitive."""
-    single = ("round", "one_minus_square", "shift_right_arithmetic", "neg", "not", "abs", "square", "select_n", "clamp", "and", "or", "xor", "integer_pow")
+    single = (
+        "round",
+        "one_minus_square",
+        "shift_right_arithmetic",
+        "neg",
+        "not",
+        "abs",
+        "square",
+        "select_n",
+        "clamp",
+        "and",
+        "or",
+        "xor",
+        "integer_pow",
+    )
     converted = ("convert_element_type", "reduce_precision", "bitcast_convert_type")
     table: dict[str, Rule] = dict.fromkeys((*_INFIX, *_CALLED, *_SAME, *single, *converted), elementwise)
     table |= dict.fromkeys(_REDUCTIONS, reduction)

@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxnh.engine.kernels.emitter import Emitter, Rule, filled, place_at, result_kind
 from jaxnh.engine.kernels.values import (
+    Memory,
     Scalars,
-    Stored,
     UnsupportedError,
     Value,
     constant,
@@ -45,19 +45,19 @@ def rearranged(emitter: Emitter, rearrange: Rearrangement, values: Sequence[Valu
         if len(targets):
             with emitter.each(len(targets)) as i:
                 target, origin = (place_at(emitter, numbers, i) for numbers in (targets, origins))
-                text = f"{source.name}[{origin}]" if isinstance(source, Stored) else text_of(source.flat[0], kind)
+                text = f"{source.name}[{origin}]" if isinstance(source, Memory) else text_of(source.flat[0], kind)
                 emitter.line(f"{memory.name}[{target}] = {text};")
         first += count
     return memory
 
 
-def _taken(emitter: Emitter, source: Stored, places: np.ndarray, shape: tuple[int, ...]) -> Value:
+def _taken(emitter: Emitter, source: Memory, places: np.ndarray, shape: tuple[int, ...]) -> Value:
     """Return elements of an array in memory at known places."""
     if in_registers(shape):
         return filled(shape, source.kind, [emitter.let(source.kind, f"{source.name}[{k}]") for k in places])
     if (np.diff(places) == 1).all():
         emitter.viewed.add(source.name)
-        return Stored(f"({source.name} + {places[0]})" if places[0] else source.name, shape, source.kind)
+        return Memory(f"({source.name} + {places[0]})" if places[0] else source.name, shape, source.kind)
     memory = emitter.memory(shape, source.kind)
     with emitter.each(len(places)) as i:
         emitter.line(f"{memory.name}[{i}] = {source.name}[{place_at(emitter, places, i)}];")
@@ -186,7 +186,7 @@ def dynamic_slice(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> l
         return [filled(sizes, value.kind, elements)]
     if (np.diff(offsets) == 1).all():  # as one of several tables
         emitter.viewed.add(source.name)
-        return [Stored(f"({source.name} + {base})", sizes, value.kind)]
+        return [Memory(f"({source.name} + {base})", sizes, value.kind)]
     memory = emitter.memory(sizes, value.kind)
     with emitter.each(len(offsets)) as i:
         emitter.line(f"{memory.name}[{i}] = {source.name}[{base} + {place_at(emitter, offsets, i)}];")
@@ -210,7 +210,7 @@ def dynamic_update_slice(emitter: Emitter, equation: Any, inputs: Sequence[Value
     return [memory]
 
 
-def _own_memory(emitter: Emitter, value: Stored) -> Stored:
+def _own_memory(emitter: Emitter, value: Memory) -> Memory:
     """Return an array that may be changed: itself, where nothing else sees it, or a copy."""
     if value.free and value.name not in emitter.viewed:
         return value
@@ -263,9 +263,7 @@ def gather(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Val
             offset[axis] = step
         element = _entry(emitter, value, corner, offset)
         fill = "NOT_A_NUMBER" if value.kind in ("double", "float") else "0"
-        elements.append(
-            element if inside == "true" else emitter.let(value.kind, f"({inside}) ? {element} : {fill}")
-        )
+        elements.append(element if inside == "true" else emitter.let(value.kind, f"({inside}) ? {element} : {fill}"))
     return [filled(shape, value.kind, elements)]
 
 
@@ -300,7 +298,7 @@ def scatter(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Va
     kept = [k for k in range(len(value.shape)) if k not in numbers.inserted_window_dims]
     places, elements = emitter.scalars(indices).elements, value.flat if isinstance(value, Scalars) else []
     strides = [size_of(value.shape[k + 1 :]) for k in range(len(value.shape))]
-    memory = _own_memory(emitter, value) if isinstance(value, Stored) else None
+    memory = _own_memory(emitter, value) if isinstance(value, Memory) else None
     adds, new = equation.primitive.name == "scatter-add", emitter.scalars(updates)
     for (where, window), update in zip(
         _window_places(numbers.update_window_dims, batch, updates.shape), new.flat, strict=True
@@ -314,7 +312,9 @@ def scatter(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Va
         flat = " + ".join(f"{text_of(s, 'int')} * {stride}" for s, stride in zip(starts, strides, strict=True)) or "0"
         place = emitter.let("int", f"({inside}) ? {flat} : -1")
         if memory:
-            emitter.line(f"if ({place} >= 0) {memory.name}[{place}] {'+' if adds else ''}= {text_of(update, value.kind)};")
+            emitter.line(
+                f"if ({place} >= 0) {memory.name}[{place}] {'+' if adds else ''}= {text_of(update, value.kind)};"
+            )
         for k, old in enumerate(elements):
             before, put = text_of(old, value.kind), text_of(update, value.kind)
             changed = f"{before} + {put}" if adds else put
@@ -326,9 +326,7 @@ def dot_general(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> lis
     """Write a product of arrays, summed over the contracted axes."""
     contracted, batch = equation.params["dimension_numbers"]
     shape, kind = tuple(equation.outvars[0].aval.shape), result_kind(equation)
-    left, right = (
-        _rows(value.shape, axes, kept) for value, axes, kept in zip(inputs, contracted, batch, strict=True)
-    )
+    left, right = (_rows(value.shape, axes, kept) for value, axes, kept in zip(inputs, contracted, batch, strict=True))
     pairs = [(left[b, i], right[b, j]) for b, i, j in np.ndindex(left.shape[0], left.shape[1], right.shape[1])]
     if all(in_registers(value.shape) for value in inputs) and in_registers(shape):
         x, y = (emitter.scalars(value).flat for value in inputs)
@@ -369,8 +367,26 @@ def _rows(shape: tuple[int, ...], axes: Sequence[int], batch: Sequence[int]) -> 
 
 def rules() -> dict[str, Rule]:
     """The rules of operations on arrays, by the name of the primitive."""
-    moved = ("broadcast_in_dim", "slice", "reshape", "squeeze", "expand_dims", "transpose", "rev", "concatenate", "stack", "tile")
+    moved = (
+        "broadcast_in_dim",
+        "slice",
+        "reshape",
+        "squeeze",
+        "expand_dims",
+        "transpose",
+        "rev",
+        "concatenate",
+        "stack",
+        "tile",
+    )
     table: dict[str, Rule] = dict.fromkeys(moved, structural)
-    table |= {"split": split, "unstack": unstack, "pad": pad, "iota": iota, "gather": gather, "dot_general": dot_general}
+    table |= {
+        "split": split,
+        "unstack": unstack,
+        "pad": pad,
+        "iota": iota,
+        "gather": gather,
+        "dot_general": dot_general,
+    }
     table |= {"dynamic_slice": dynamic_slice, "dynamic_update_slice": dynamic_update_slice}
     return table | dict.fromkeys(("scatter", "scatter-add"), scatter)

@@ -10,8 +10,8 @@ import numpy as np
 from jaxnh.engine.kernels.arrays import rearranged
 from jaxnh.engine.kernels.emitter import Emitter, Rule, filled
 from jaxnh.engine.kernels.values import (
+    Memory,
     Scalars,
-    Stored,
     UnsupportedError,
     Value,
     in_registers,
@@ -53,7 +53,7 @@ def _carries(emitter: Emitter, values: Sequence[Value]) -> list[Value]:
 
 def _update(emitter: Emitter, carries: Sequence[Value], values: Sequence[Value]) -> None:
     """Write what the variables of a loop become, all at once."""
-    assignments, memories = [], {carry.name for carry in carries if isinstance(carry, Stored)}
+    assignments, memories = [], {carry.name for carry in carries if isinstance(carry, Memory)}
     for carry, value in zip(carries, values, strict=True):
         if isinstance(carry, Scalars):
             for name, element in zip(carry.flat, emitter.scalars(value).flat, strict=True):
@@ -61,7 +61,7 @@ def _update(emitter: Emitter, carries: Sequence[Value], values: Sequence[Value])
                     text = text_of(element, carry.kind)
                     new = text if is_known(element) else emitter.let(carry.kind, text)
                     assignments.append(f"{name} = {new};")
-        elif isinstance(value, Stored) and value.name != carry.name and value.name in memories:
+        elif isinstance(value, Memory) and value.name != carry.name and value.name in memories:
             raise UnsupportedError("large arrays that change places in a loop")
         else:
             emitter.copied(value, carry)
@@ -73,10 +73,10 @@ def while_loop(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list
     """Write a loop that ends when its condition is false."""
     p = equation.params
     head, first = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
-    fixed = [v._replace(free=False) if isinstance(v, Stored) else v for v in inputs[:first]]
+    fixed = [v._replace(free=False) if isinstance(v, Memory) else v for v in inputs[:first]]
     carries = _carries(emitter, inputs[first:])
     with emitter.block("for (;;)"):
-        shown = [c._replace(free=False) if isinstance(c, Stored) else c for c in carries]
+        shown = [c._replace(free=False) if isinstance(c, Memory) else c for c in carries]
         (holds,) = emitter.evaluate(*_opened(p["cond_jaxpr"]), [*fixed[:head], *shown])
         emitter.line(f"if (!({text_of(emitter.scalars(holds).flat[0], 'bool')})) break;")
         _update(emitter, carries, emitter.evaluate(*_opened(p["body_jaxpr"]), [*fixed[head:], *carries]))
@@ -88,7 +88,7 @@ def scan(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value
     p = equation.params
     count = p["length"]
     fixed, carried = _counts(p)
-    consts = [v._replace(free=False) if isinstance(v, Stored) else v for v in inputs[:fixed]]
+    consts = [v._replace(free=False) if isinstance(v, Memory) else v for v in inputs[:fixed]]
     inits, entries = inputs[fixed : fixed + carried], inputs[fixed + carried :]
     if count * _equations(p["jaxpr"].jaxpr) <= _WRITTEN_OUT:
         return _written_out(emitter, p, consts, inits, entries)
@@ -98,10 +98,10 @@ def scan(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value
     with emitter.each(count) as i:
         place = f"({count - 1} - {i})" if p["reverse"] else i
         rows = [_row(emitter, source, place) for source in sources]
-        *values, = emitter.evaluate(*_opened(p["jaxpr"]), [*consts, *carries, *rows])
+        (*values,) = emitter.evaluate(*_opened(p["jaxpr"]), [*consts, *carries, *rows])
         for result, value in zip(results, values[carried:], strict=True):
             size = size_of(result.shape[1:])
-            emitter.copied(value, Stored(f"({result.name} + {place} * {size})", result.shape[1:], result.kind))
+            emitter.copied(value, Memory(f"({result.name} + {place} * {size})", result.shape[1:], result.kind))
         _update(emitter, carries, values[:carried])
     return [*carries, *results]
 
@@ -124,13 +124,13 @@ def _equations(jaxpr: Any) -> int:
     return total
 
 
-def _row(emitter: Emitter, source: Stored, place: str) -> Value:
+def _row(emitter: Emitter, source: Memory, place: str) -> Value:
     shape, size = source.shape[1:], size_of(source.shape[1:])
     if in_registers(shape):
         elements = [emitter.let(source.kind, f"{source.name}[{place} * {size} + {k}]") for k in range(size)]
         return filled(shape, source.kind, elements)
     emitter.viewed.add(source.name)
-    return Stored(f"({source.name} + {place} * {size})", shape, source.kind)
+    return Memory(f"({source.name} + {place} * {size})", shape, source.kind)
 
 
 def _written_out(
@@ -140,7 +140,7 @@ def _written_out(
     carries, rows = [*inits], [list[Value]() for _ in p["jaxpr"].jaxpr.outvars[carried:]]
     for k in reversed(range(count)) if p["reverse"] else range(count):
         here = [rearranged(emitter, lambda x, k=k: x[k], [value]) for value in entries]
-        *values, = emitter.evaluate(*_opened(p["jaxpr"]), [*consts, *carries, *here])
+        (*values,) = emitter.evaluate(*_opened(p["jaxpr"]), [*consts, *carries, *here])
         carries = values[:carried]
         for row, value in zip(rows, values[carried:], strict=True):
             row.append(value)
@@ -153,7 +153,7 @@ def cond(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value
     """Write the branch that an index chooses."""
     index, *operands = inputs
     (which,), branches = emitter.scalars(index).flat, equation.params["branches"]
-    operands = [v._replace(free=False) if isinstance(v, Stored) else v for v in operands]
+    operands = [v._replace(free=False) if isinstance(v, Memory) else v for v in operands]
     if is_known(which):
         return emitter.evaluate(*_opened(branches[min(max(int(which), 0), len(branches) - 1)]), operands)
     results: list[Value] = []
@@ -173,6 +173,15 @@ def cond(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value
 
 def rules() -> dict[str, Rule]:
     """The rules of loops, branches and calls, by the name of the primitive."""
-    calls = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "custom_vmap_call", "remat", "checkpoint")
+    calls = (
+        "jit",
+        "pjit",
+        "closed_call",
+        "custom_jvp_call",
+        "custom_vjp_call",
+        "custom_vmap_call",
+        "remat",
+        "checkpoint",
+    )
     table: dict[str, Rule] = dict.fromkeys(calls, called)
     return table | {"while": while_loop, "scan": scan, "cond": cond}

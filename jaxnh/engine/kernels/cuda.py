@@ -110,9 +110,7 @@ def compile_kernel(text: str, architecture: str) -> str:
         if code:
             raise RuntimeError(f"NVRTC, {what}: error {code}\n{_text(nvrtc, program, 'Log')}")
 
-    checked(
-        nvrtc.nvrtcCreateProgram(ctypes.byref(program), text.encode(), b"lanes.cu", 0, None, None), "a new program"
-    )
+    checked(nvrtc.nvrtcCreateProgram(ctypes.byref(program), text.encode(), b"lanes.cu", 0, None, None), "a new program")
     array = (ctypes.c_char_p * len(options))(*options)
     checked(nvrtc.nvrtcCompileProgram(program, len(options), array), "compiling")
     return _text(nvrtc, program, "PTX")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
@@ -11,8 +11,8 @@ import numpy as np
 from jax.extend.core import Literal
 
 from jaxnh.engine.kernels.values import (
+    Memory,
     Scalars,
-    Stored,
     UnsupportedError,
     Value,
     constant,
@@ -83,19 +83,19 @@ class Emitter:
         self.line(f"{kind} {name}{f' = {expression}' if expression else ''};")
         return name
 
-    def memory(self, shape: tuple[int, ...], kind: str) -> Stored:
+    def memory(self, shape: tuple[int, ...], kind: str) -> Memory:
         """Declare an array of the lane's own."""
         name, count = self.name("a"), max(1, size_of(shape))
         self._declared[name] = len(self.lines), count * _BYTES.get(kind, 8)
         self.line(f"{kind} {name}[{count}];")
-        return Stored(name, shape, kind, free=True)
+        return Memory(name, shape, kind, free=True)
 
     @property
     def own_bytes(self) -> int:
         """Bytes of all arrays of a lane's own."""
         return sum(count for _, count in self._declared.values())
 
-    def placed(self, memory: Stored, place: str) -> bool:
+    def placed(self, memory: Memory, place: str) -> bool:
         """Put an array of the lane's own where a pointer says, if it is a whole one; return whether it is."""
         line, count = self._declared.get(memory.name, (0, 0))
         if count != size_of(memory.shape) * _BYTES.get(memory.kind, 8):
@@ -120,21 +120,21 @@ class Emitter:
         elements[...] = np.array([*flat, None], object)[:-1].reshape(value.shape)
         return Scalars(elements, value.kind)
 
-    def stored(self, value: Value) -> Stored:
+    def stored(self, value: Value) -> Memory:
         """Return a value as an array in memory: of known numbers, one that all lanes share."""
-        if isinstance(value, Stored):
+        if isinstance(value, Memory):
             return value
         texts = [text_of(element, value.kind) for element in value.flat]
         if value.flat and all(map(is_known, value.flat)):
             body = f"{value.kind} NAME[{len(texts)}] = {{{', '.join(texts)}}}"
             name = self.tables.setdefault(body, f"t{len(self.tables)}")
-            return Stored(name, value.shape, value.kind)
+            return Memory(name, value.shape, value.kind)
         memory = self.memory(value.shape, value.kind)
         for k, text in enumerate(texts):
             self.line(f"{memory.name}[{k}] = {text};")
         return memory
 
-    def copied(self, value: Value, place: Stored) -> None:
+    def copied(self, value: Value, place: Memory) -> None:
         """Copy a value to memory."""
         if isinstance(value, Scalars):
             for k, element in enumerate(value.flat):
@@ -156,9 +156,9 @@ class Emitter:
 
         def value(atom: Any, place: int) -> Value:
             if isinstance(atom, Literal):
-                return constant(np.asarray(atom.val, atom.aval.dtype))
+                return constant(np.asarray(atom.val, atom.aval.dtype))  # pyright: ignore[reportAttributeAccessIssue]
             found = known[atom]
-            if isinstance(found, Stored) and found.free and last[atom] > place:
+            if isinstance(found, Memory) and found.free and last[atom] > place:
                 return found._replace(free=False)
             return found
 
@@ -172,7 +172,7 @@ class Emitter:
 
 
 def _constant(number: Any) -> Value:
-    return number if isinstance(number, Scalars | Stored) else constant(np.asarray(number))
+    return number if isinstance(number, Scalars | Memory) else constant(np.asarray(number))
 
 
 def filled(shape: tuple[int, ...], kind: str, elements: Sequence[Any]) -> Scalars:

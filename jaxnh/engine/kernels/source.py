@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from typing import Any, NamedTuple
@@ -12,11 +12,10 @@ import numpy as np
 
 from jaxnh.engine.kernels import arithmetic, arrays, control
 from jaxnh.engine.kernels.emitter import Emitter, filled
-from jaxnh.engine.kernels.values import Stored, UnsupportedError, Value, in_registers, kind_of, size_of, text_of
+from jaxnh.engine.kernels.values import Memory, UnsupportedError, Value, in_registers, kind_of, size_of, text_of
 
 NAME = "lanes"
-"""The kernel's name; its arguments are pointers to the number of lanes, to what they share, to what they have each, and to
-the results."""
+"""The kernel's name; its arguments are pointers: to the number of lanes, what they share, what they have, and results."""
 
 THREADS = 128
 """Threads of a block."""
@@ -88,13 +87,13 @@ def _argument(
     kind = kind_of(dtype)
     declared.append(f"const {kind}* __restrict__ {name}")
     if not in_registers(shape) or (place == "0" and shape):  # of what lanes share an entry may be looked up
-        return Stored(f"({name} + {place})", shape, kind)
+        return Memory(f"({name} + {place})", shape, kind)
     return filled(shape, kind, [emitter.let(kind, f"{name}[{place} + {k}]") for k in range(size_of(shape))])
 
 
 def _write_result(emitter: Emitter, name: str, value: Value, shape: tuple[int, ...]) -> None:
     size = size_of(shape)
-    if isinstance(value, Stored):
+    if isinstance(value, Memory):
         if not emitter.placed(value, f"({name} + lane * {size}LL)"):
             with emitter.each(size) as i:
                 emitter.line(f"{name}[lane * {size}LL + {i}] = {value.name}[{i}];")
@@ -110,7 +109,7 @@ def _rules() -> Any:
 
 @cache
 def _prelude() -> str:
-    return resources.files(__package__).joinpath("prelude.h").read_text(encoding="utf-8")
+    return resources.files("jaxnh.engine.kernels").joinpath("prelude.h").read_text(encoding="utf-8")
 
 
 def shapes_of(tree: Any) -> Any:
@@ -118,5 +117,3 @@ def shapes_of(tree: Any) -> Any:
     return jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf), getattr(leaf, "dtype", None) or np.result_type(leaf)), tree
     )
-
-

@@ -50,7 +50,7 @@ class Scalars(NamedTuple):
         return list(self.elements.ravel())
 
 
-class Stored(NamedTuple):
+class Memory(NamedTuple):
     """An array in memory, row by row.
 
     Attributes:
@@ -66,7 +66,7 @@ class Stored(NamedTuple):
     free: bool = False
 
 
-Value = Scalars | Stored
+Value = Scalars | Memory
 
 
 def kind_of(dtype: Any) -> str:
