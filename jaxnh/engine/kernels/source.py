@@ -15,7 +15,7 @@ from jaxnh.engine.kernels.emitter import Emitter, filled
 from jaxnh.engine.kernels.values import Memory, UnsupportedError, Value, in_registers, kind_of, size_of, text_of
 
 NAME = "lanes"
-"""The kernel's name; its arguments are pointers: to the number of lanes, what they share, what they have, and results."""
+"""The kernel's name; its arguments are pointers to the number of lanes, to what they share and have, and to results."""
 
 THREADS = 128
 """Threads of a block."""
