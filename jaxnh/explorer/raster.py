@@ -17,8 +17,10 @@ LEVELS = INK.N
 ROWS = 420
 """Cells of a column of a diagram, and pixels that they have on the page."""
 
+MOST_CELLS = 1200
+"""Cells of a plane, either way: about the pixels that the page has."""
+
 _LEAST = 1e-3  # share of a column's points that has the first colour
-_MOST_CELLS = 1200  # of a plane, either way: about the pixels that the page has
 
 
 class Raster(NamedTuple):
@@ -33,6 +35,10 @@ class Raster(NamedTuple):
     cells: UInt32[np.ndarray, "rows columns"]
     across: tuple[float, float]
     up: tuple[float, float]
+
+
+PlaneEdges = tuple[Float[np.ndarray, " across"], Float[np.ndarray, " up"]]
+"""Edges of the pixels of a plane, one more than there are pixels either way."""
 
 
 def _pack_colours(rgba: np.ndarray) -> UInt32[np.ndarray, ...]:
@@ -58,21 +64,31 @@ def raster(
     return Raster(np.ascontiguousarray(cells), (float(across[0]), float(across[-1])), (float(up[0]), float(up[-1])))
 
 
-def plane_raster(pixels: Pixels) -> Raster:
-    """A plane as cells of one size; where values are uneven or too many, each cell has the lane at its place."""
-    (across, x), (up, y) = (_cells(np.asarray(axis)) for axis in (pixels.plane.x, pixels.plane.y))
-    return Raster(_pack_colours(pixels.rgba()[np.ix_(y, x)]), across, up)
+def plane_raster(pixels: Pixels, edges: PlaneEdges | None = None, share: np.ndarray | None = None) -> Raster:
+    """A plane as cells of one size; where values are uneven or too many, each cell has the lane at its place.
+
+    Args:
+        edges: rising edges of the pixels across and up; None: halfway between their values.
+        share: of the lanes that a pixel (m, n) stands for, those that are as its colour says; it is the paler the more
+            others there are. None: all are.
+    """
+    across, up = edges or tuple(cell_edges(np.asarray(axis)) for axis in (pixels.plane.x, pixels.plane.y))
+    rgba = pixels.rgba()
+    if share is not None:
+        rgba = np.round(255 - share[..., None] * (255.0 - rgba)).astype(np.uint8)
+        rgba[..., 3] = 255
+    (x_ends, x), (y_ends, y) = _cells(across), _cells(up)
+    return Raster(_pack_colours(rgba[np.ix_(y, x)]), x_ends, y_ends)
 
 
-def _cells(values: Float[np.ndarray, " values"]) -> tuple[tuple[float, float], np.ndarray]:
-    """Ends of cells of one size over rising values, and the place of the value that lies in each."""
-    edges = cell_edges(values)
+def _cells(edges: Float[np.ndarray, " edges"]) -> tuple[tuple[float, float], np.ndarray]:
+    """Ends of cells of one size between rising edges of pixels, and the pixel that lies in each."""
     ends, sizes = (float(edges[0]), float(edges[-1])), np.diff(edges)
-    if len(values) <= _MOST_CELLS and sizes.max() - sizes.min() < 0.01 * sizes.mean():
-        return ends, np.arange(len(values))
-    count = int(min(_MOST_CELLS, np.ceil((ends[1] - ends[0]) / sizes.min())))
+    if len(sizes) <= MOST_CELLS and sizes.max() - sizes.min() < 0.01 * sizes.mean():
+        return ends, np.arange(len(sizes))
+    count = int(min(MOST_CELLS, np.ceil((ends[1] - ends[0]) / sizes.min())))
     middles = ends[0] + (np.arange(count) + 0.5) * (ends[1] - ends[0]) / count
-    return ends, np.clip(np.searchsorted(edges, middles, side="right") - 1, 0, len(values) - 1)
+    return ends, np.clip(np.searchsorted(edges, middles, side="right") - 1, 0, len(sizes) - 1)
 
 
 def values_of(data: xr.Dataset, axis: str, variable: str) -> tuple[np.ndarray, np.ndarray]:

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from jaxnh.exceptions import InputError, JaxnhError, ResultError
-from jaxnh.explorer.overlays import GROUPS
-from jaxnh.explorer.raster import plane_raster, raster, values_of
-from jaxnh.explorer.source import LaneReport, Parameter, Picture, PictureSource, axis_title
+from jaxnh.explorer.file_source import (
+    Attrs,
+    FileSource,
+    Groups,
+    at_lanes,
+    nearest_lane,
+    places_inside,
+    rises_or_falls,
+    words_with_units,
+)
+from jaxnh.explorer.raster import MOST_CELLS, plane_raster, raster, values_of
+from jaxnh.explorer.source import LaneReport, Picture, PictureSource
+from jaxnh.explorer.tiled_plane import TiledPlane
 from jaxnh.explorer.view import View
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import label_of, variables_of
 from jaxnh.plotting.labels import words_of
 from jaxnh.plotting.panels import has_pixels, pixels_of
 from jaxnh.storage.hdf5 import open_result
-
-_OF_A_LANE = ("portrait", "poincare", "period", "lyapunov", "chaos01", "verdict", "basins", "attractors")
-
-_Groups = Mapping[str, xr.Dataset]
-_Attrs = Mapping[str, Any]
 
 
 def open_recording(path: Path) -> PictureSource:
@@ -35,16 +38,17 @@ def open_recording(path: Path) -> PictureSource:
     if not path.is_file():
         raise InputError(f"command line: RESULT: {path} is {'a folder' if path.is_dir() else 'not there'}")
     try:
-        return source_of(open_result(path), str(path))
+        return source_of(open_result(path), str(path), path)
     except JaxnhError as error:
         raise InputError(f"command line: RESULT: {error}") from error
 
 
-def source_of(tree: xr.DataTree, name: str) -> PictureSource:
+def source_of(tree: xr.DataTree, name: str, path: Path | None = None) -> PictureSource:
     """The planes over the first two long axes of a result, or where there are none the diagram over the first.
 
     Args:
         name: what the result is called.
+        path: its file, beside which overviews of large planes are kept; None: they go with the program.
 
     Raises:
         ResultError: there is neither a plane nor a diagram in it.
@@ -56,7 +60,15 @@ def source_of(tree: xr.DataTree, name: str) -> PictureSource:
     planes = [key for key, data in groups.items() if len(long) > 1 and has_pixels(data)]
     planes = [key for key in planes if set(long[:2]) <= set(map(str, variables_of(groups[key])[0].dims))]
     if planes:
-        return RecordedPlane(groups, planes, (long[0], long[1]), attrs, name)
+        axes = long[0], long[1]
+        large = any(sizes[axis] > MOST_CELLS for axis in axes) and all(
+            rises_or_falls(groups[planes[0]][a]) for a in axes
+        )
+        return (
+            TiledPlane(groups, planes, axes, attrs, name, path)
+            if large
+            else RecordedPlane(groups, planes, axes, attrs, name)
+        )
     if "diagram" in groups and long:
         return RecordedDiagram(groups, long[0], attrs, name)
     there = ", ".join(groups) or "nothing"
@@ -69,41 +81,10 @@ def described(tree: xr.DataTree) -> dict[str, xr.Dataset]:
     return {str(k): describe(str(k), node.to_dataset().assign_attrs(axes=axes)) for k, node in tree.children.items()}
 
 
-class _Recording:
-    """Members common to all sources of a file."""
-
-    computes = False
-    parameters: tuple[Parameter, ...] = ()
-
-    def __init__(self, groups: _Groups, first: xr.Dataset, axes: tuple[str, ...], attrs: _Attrs, name: str) -> None:
-        self._groups = {key: groups[key] for key in _OF_A_LANE if key in groups}
-        self.overlays = {key: groups[key] for key in GROUPS if key in groups}
-        self._attrs, self.title = attrs, attrs["title"]
-        self.axis_words = {axis: _words(first[axis]) for axis in axes}
-        others = [
-            axis for axis in str(first.attrs["axes"]).split() if axis not in axes and first.sizes.get(axis, 1) > 1
-        ]
-        at = "".join(f", at {axis} = {float(first[axis][0]):g}, the first of {first.sizes[axis]:,}" for axis in others)
-        self._note = f"from {name}{at}; nothing is computed here"
-
-    def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
-        """The facts that the file has of the lane that is nearest to values of the axes."""
-        groups = {
-            name: _at(data, where).load()
-            for name, data in self._groups.items()
-            if set(where) <= set(data.dims) or name == "attractors"
-        }
-        yield LaneReport(where, groups, True)
-
-    def batch_text(self, view: View) -> str:
-        """The config that the file was made from; "" where it has none."""
-        return str(self._attrs.get("config", ""))
-
-
-class RecordedDiagram(_Recording):
+class RecordedDiagram(FileSource):
     """The diagram of a result file; as `PictureSource`."""
 
-    def __init__(self, groups: _Groups, axis: str, attrs: _Attrs, name: str) -> None:
+    def __init__(self, groups: Groups, axis: str, attrs: Attrs, name: str) -> None:
         """Read the diagram.
 
         Args:
@@ -112,10 +93,10 @@ class RecordedDiagram(_Recording):
             name: what it is called.
         """
         super().__init__(groups, groups["diagram"], (axis,), attrs, name)
-        self._data = _at(groups["diagram"], {}, keep=(axis,)).sortby(axis).load()
+        self._data = at_lanes(groups["diagram"], {}, keep=(axis,)).sortby(axis).load()
         values = self._data[axis].to_numpy()
         self.variables = {
-            str(key): _words(v)
+            str(key): words_with_units(v)
             for key, v in self._data.data_vars.items()
             if v.dims[:1] == (axis,) and len(v.dims) > 1 and v.dtype.kind == "f"
         }
@@ -125,20 +106,20 @@ class RecordedDiagram(_Recording):
     def passes(self, view: View) -> Iterator[Picture]:
         """The part of the diagram that lies in a view."""
         axis, values = values_of(self._data, view.axis, view.variable)
-        inside = _inside(axis, (view.low, view.high), 1)
+        inside = places_inside(axis, (view.low, view.high), 1)
         cells = raster(axis[inside], values[inside], view.window)
         data = self._data.isel({view.axis: inside})
         yield Picture(cells, data, f"{len(inside):,} values", (self._note,))
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """The facts that the file has of the lane that is nearest to a value of the axis."""
-        return super().lane(view, _nearest(self._data, where))
+        return super().lane(view, nearest_lane(self._data, where))
 
 
-class RecordedPlane(_Recording):
+class RecordedPlane(FileSource):
     """The planes of a result file, a quantity each; as `PictureSource`."""
 
-    def __init__(self, groups: _Groups, planes: list[str], axes: tuple[str, str], attrs: _Attrs, name: str) -> None:
+    def __init__(self, groups: Groups, planes: list[str], axes: tuple[str, str], attrs: Attrs, name: str) -> None:
         """Read the planes.
 
         Args:
@@ -148,7 +129,7 @@ class RecordedPlane(_Recording):
             name: what it is called.
         """
         super().__init__(groups, groups[planes[0]], axes, attrs, name)
-        self._planes = {key: _at(groups[key], {}, keep=axes).sortby(list(axes)).load() for key in planes}
+        self._planes = {key: at_lanes(groups[key], {}, keep=axes).sortby(list(axes)).load() for key in planes}
         self._others = {key: groups[key].load() for key in groups.keys() & {"attractors"}}
         self.variables = {key: label_of(data) or words_of(variables_of(data)[0]) for key, data in self._planes.items()}
         first = self._planes[planes[0]]
@@ -159,7 +140,7 @@ class RecordedPlane(_Recording):
     def passes(self, view: View) -> Iterator[Picture]:
         """The part of a plane that lies in a view."""
         data = self._planes[view.variable]
-        inside = {name: _inside(data[name].to_numpy(), ends, 2) for name, ends in view.ranges.items()}
+        inside = {name: places_inside(data[name].to_numpy(), ends, 2) for name, ends in view.ranges.items()}
         groups = {**self._others, view.variable: data.isel(inside)}
         pixels = pixels_of(view.variable, groups)
         words = " × ".join(f"{len(places):,}" for places in inside.values()) + " lanes"
@@ -168,32 +149,4 @@ class RecordedPlane(_Recording):
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """The facts that the file has of the lane that is nearest to values of the axes."""
-        return super().lane(view, _nearest(self._planes[view.variable], where))
-
-
-def _words(variable: xr.DataArray) -> str:
-    attrs = variable.attrs
-    return axis_title(str(attrs.get("long_name", variable.name)), str(attrs.get("units", "")))
-
-
-def _at(data: xr.Dataset, where: Mapping[str, float], keep: tuple[str, ...] = ()) -> xr.Dataset:
-    """A group at values of some axes, and at the first of those others that are not to be kept."""
-    axes = [name for name in str(data.attrs["axes"]).split() if name in data.dims and name not in keep]
-    return data.isel({name: _place(data, name, where[name]) if name in where else 0 for name in axes})
-
-
-def _place(data: xr.Dataset, axis: str, value: float) -> int:
-    return int(np.argmin(np.abs(data[axis].to_numpy() - value)))
-
-
-def _nearest(data: xr.Dataset, where: Mapping[str, float]) -> dict[str, float]:
-    """Values of axes that the file has."""
-    return {name: float(data[name][_place(data, name, value)]) for name, value in where.items()}
-
-
-def _inside(values: np.ndarray, ends: tuple[float, float], least: int) -> np.ndarray:
-    """Places of the rising values in a range, at least so many about its middle."""
-    inside = np.flatnonzero((ends[0] <= values) & (values <= ends[1]))
-    if len(inside) >= least:
-        return inside
-    return np.sort(np.argsort(np.abs(values - 0.5 * (ends[0] + ends[1])), kind="stable")[:least])
+        return super().lane(view, nearest_lane(self._planes[view.variable], where))
