@@ -19,7 +19,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from jaxnh.explorer.layers import Scale
-from jaxnh.explorer.raster import ROWS
+from jaxnh.explorer.raster import ROWS, Raster
 from jaxnh.explorer.source import Picture
 from jaxnh.explorer.view import View
 from jaxnh.plotting.style import MARK
@@ -45,6 +45,7 @@ class Drawing:
 
     def __init__(self, view: View, x_label: str, y_label: str) -> None:
         self._cells = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+        self._sent: Raster | None = None
         bottom, top = view.window or (0.0, 1.0)
         self.figure = figure(
             x_range=Range1d(start=view.low, end=view.high),
@@ -80,6 +81,9 @@ class Drawing:
         self.figure.x_range.update(start=view.low, end=view.high)
         bottom, top = view.window or (low, high)
         self.figure.y_range.update(start=bottom, end=top)
+        if picture.raster is self._sent:  # a picture with other words alone
+            return
+        self._sent = picture.raster
         self._cells.data = {"image": [cells], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
 
     def run_with_pictures(self, script: CustomJS) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from jaxnh.config.config import Config
 from jaxnh.engine.progress import Progress
 from jaxnh.exceptions import InputError, JaxnhError
 from jaxnh.explorer.edited_files import EditedFiles, edited_files
+from jaxnh.explorer.file_check import check_texts
 from jaxnh.explorer.recording import described, open_recording
 from jaxnh.explorer.saved_view import SavedView, saved_view
 from jaxnh.explorer.source import PictureSource
@@ -68,8 +69,12 @@ def open_file(
     return PageContent(source, checked(saved, source, path), more, edited_files(content, overrides))
 
 
-def open_texts(opened: PageContent, texts: dict[Path, str], progress: Progress, columns: int) -> PageContent:
+def open_texts(
+    opened: PageContent, texts: dict[Path, str], progress: Progress, columns: int
+) -> Iterator[PageContent | None]:
     """Open edited texts of the files of a config, with the results that were laid over it.
+
+    They are first tried out in a process of their own (`file_check`); None is yielded while that goes on.
 
     Args:
         opened: the config as it was.
@@ -83,8 +88,9 @@ def open_texts(opened: PageContent, texts: dict[Path, str], progress: Progress, 
     from jaxnh.explorer.live import live
 
     assert opened.files is not None
+    yield from check_texts(opened.files, texts)
     source = live(opened.files.experiment(texts), progress, columns)
-    return opened._replace(source=source, saved=SavedView(over=opened.saved.over))
+    yield opened._replace(source=source, saved=SavedView(over=opened.saved.over))
 
 
 def keeping(opened: PageContent, before: PictureSource, seen: SavedView) -> PageContent:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -34,7 +35,16 @@ def layers_of(groups: Mapping[str, xr.Dataset], across: str, up: str) -> list[La
     """
     across, up = coordinate_of(across), coordinate_of(up)
     there = {name: groups[name].load() for name in _MAKERS if name in groups}
-    return [layer for name, data in there.items() for layer in _MAKERS[name](data, across, up)]
+    layers = list[Layer]()
+    for name, data in there.items():
+        turned = name in ALONG_ONE and _level_of(data, up, across) is not None
+        layers += map(_turned, _MAKERS[name](data, up, across)) if turned else _MAKERS[name](data, across, up)
+    return layers
+
+
+def _turned(layer: Layer) -> Layer:
+    """The same with the axes exchanged."""
+    return layer._replace(items=tuple(item._replace(x=item.y, y=item.x) for item in layer.items))
 
 
 # ---- facts
@@ -84,14 +94,18 @@ def _period(n: int) -> str:
 def _of_curves(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
     if {across, up} != {str(variable.name) for variable in variables_of(data)[:2]}:
         return
-    kind, period = data["kind"].to_numpy(), data["period"].to_numpy()
+    kind = data["kind"].to_numpy()
+    period = data["period"].to_numpy() if "period" in data else np.full(len(kind), -1)  # connecting orbits have none
     named, periods = meanings(data["kind"]), np.unique(period).tolist()
     x, y = (data[name].transpose("curve", "point").to_numpy() for name in (across, up))
 
     def facts(c: int, k: int) -> Facts:
         ends = _words(data, ("begins", "ends"), c)
         where = [(name, _number(data, name, (c, k))) for name in (across, up)]
-        return [("curve", f"{_word(data['kind'], c)}, period {period[c]}"), *where, *_multipliers(data, (c, k)), *ends]
+        return [("curve", name_of(_word(data["kind"], c), period[c])), *where, *_multipliers(data, (c, k)), *ends]
+
+    def name_of(words: str, n: int) -> str:
+        return f"{words}, period {n}" if n >= 0 else words
 
     for what, (words, _) in named.items():
         for n in periods:
@@ -99,7 +113,7 @@ def _of_curves(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
             items = tuple(Item(x[c], y[c], partial(facts, c)) for c in chosen)
             colour = CURVES[list(named).index(what) % len(CURVES)]
             if items:
-                yield Layer(f"{words}, period {n}", "line", colour, items, dash=periods.index(n))
+                yield Layer(name_of(words, n), "line", colour, items, dash=periods.index(n))
 
 
 def _of_codimension_two(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
@@ -140,16 +154,30 @@ def _of_doublings(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
 # ---- over a parameter and a coordinate
 
 
+def _level_of(data: xr.Dataset, across: str, up: str) -> float | None:
+    """The value of the second parameter of a plane that a group along the first one is at; None where it has none."""
+    fixed = up in data.coords and not data[up].ndim and up != parameter_of(data)
+    return float(data[up]) if fixed and across == parameter_of(data) else None
+
+
 def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
-    if across != parameter_of(data) or f"{up}_points" not in data:
+    level = _level_of(data, across, up)
+    if level is None and (across != parameter_of(data) or f"{up}_points" not in data):
         return
-    x, y = data[across].to_numpy(), data[f"{up}_points"].transpose("branch", "point", "iterate").to_numpy()
+    x = data[across].to_numpy()
+    y = _heights(data, up, level, "branch", "point", "iterate")
     stable, period = data["stable"].to_numpy() == 1, data["period"].to_numpy()
 
     def facts(b: int, k: int) -> Facts:
         words = f"{_period(period[b])}, {'stable' if stable[b, k] else 'unstable'}"
         residual = [("residual", f"{float(data['residual'][b, k]):.1g}")] if "residual" in data else []
-        return [("branch", words), (across, repr(float(x[b, k]))), *_multipliers(data, (b, k)), *residual]
+        return [
+            ("branch", words),
+            (across, repr(float(x[b, k]))),
+            *_second(up, level),
+            *_multipliers(data, (b, k)),
+            *residual,
+        ]
 
     periods = np.unique(period).tolist()
     for n in periods:
@@ -161,7 +189,7 @@ def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
                     orbit = partial(lambda b, k: _points(data, (b, k)), b)
                     items += [
                         Item(np.where(here, x[b], np.nan), y[b, :, i], partial(facts, b), orbit)
-                        for i in range(max(n, 1))
+                        for i in range(max(n, 1) if level is None else 1)
                     ]
             if items:
                 words = f"{_period(n)}, {'stable' if attracts else 'unstable'}"
@@ -169,18 +197,30 @@ def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
                 yield Layer(words, "line", colour, tuple(items), dash=0 if attracts else 1)
 
 
+def _second(up: str, level: float | None) -> Facts:
+    return [] if level is None else [(up, repr(level))]
+
+
+def _heights(data: xr.Dataset, up: str, level: float | None, *dims: str) -> np.ndarray:
+    """Points of orbits upward; where a plane is of two parameters the value of the second."""
+    if level is None:
+        return data[f"{up}_points"].transpose(*dims).to_numpy()
+    return np.full((*(data.sizes[dim] for dim in dims[:-1]), 1), level)
+
+
 def _of_bifurcations(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
-    if across != parameter_of(data) or f"{up}_points" not in data:
+    level = _level_of(data, across, up)
+    if level is None and (across != parameter_of(data) or f"{up}_points" not in data):
         return
-    y = data[f"{up}_points"].transpose("bifurcation", "iterate").to_numpy()
+    y = _heights(data, up, level, "bifurcation", "iterate")
     x = np.broadcast_to(data[across].to_numpy()[:, None], y.shape)
 
     def facts(c: int, _: int) -> Facts:
         of = _period(int(data["period"][c])) if "period" in data else ""
         more = [("normal form", f"{float(data['coefficient'][c]):.6g}")] if "coefficient" in data else []
         born = _words(data, ("criticality",), c)
-        where = (across, _number(data, across, (c,)))
-        return [(_word(data["kind"], c), of), where, *born, *more, *_multipliers(data, (c,))]
+        where = [(across, _number(data, across, (c,))), *_second(up, level)]
+        return [(_word(data["kind"], c), of), *where, *born, *more, *_multipliers(data, (c,))]
 
     for what, (words, _) in meanings(data["kind"]).items():
         chosen = np.flatnonzero(data["kind"].to_numpy() == what).tolist()
@@ -190,19 +230,20 @@ def _of_bifurcations(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
 
 
 def _of_windows(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
-    if across != parameter_of(data) or up in data:
+    if across != parameter_of(data) or up in data.data_vars:
         return
 
     def facts(w: int, _: int) -> Facts:
         known = [name for name in ("begin", "end", "limit", "crisis") if np.isfinite(float(data[name][w]))]
         kinds = {name: f" ({_word(data[f'{name}_kind'], w)})" for name in ("begin", "end")}
         where = [(name, _number(data, name, (w,)) + kinds.get(name, "")) for name in known]
-        return [("window", _period(int(data["period"][w]))), *where]
+        return [("window", _period(int(data["period"][w]))), *where, *_second(up, level)]
 
-    ends = reaches(data)[1]
-    items = tuple(Item(ends[w], np.zeros(2), partial(facts, w)) for w in range(len(ends)))
+    ends, level = reaches(data)[1], _level_of(data, across, up)
+    items = tuple(Item(ends[w], np.full(2, level or 0.0), partial(facts, w)) for w in range(len(ends)))
     if items:
-        yield Layer("periodic windows", "band", PALE, items)
+        look: tuple[Literal["line", "band"], str] = ("band", PALE) if level is None else ("line", _INK)
+        yield Layer("periodic windows", *look, items)
 
 
 # ---- over coordinates
@@ -279,6 +320,7 @@ _MAKERS: Mapping[str, _Maker] = {
     "windows": _of_windows,
     "doubling": _of_doublings,
     "curves": _of_curves,
+    "homoclinic": _of_curves,
     "branches": _of_branches,
     "manifolds": _of_manifolds,
     "orbits": _of_orbits,
@@ -288,3 +330,6 @@ _MAKERS: Mapping[str, _Maker] = {
 
 GROUPS = tuple(_MAKERS)
 """Groups that are laid over pictures."""
+
+ALONG_ONE = ("windows", "branches", "bifurcations")
+"""Those along one parameter; over planes of two they lie at the value that the other has in their result."""

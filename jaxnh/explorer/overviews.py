@@ -37,6 +37,7 @@ class Overviews:
 
     Attributes:
         levels: how many there are; blocks of the k-th have 2^k lanes either way.
+        share: of the lanes that they are made of, so far.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Overviews:
         self._path = result.with_name(f"{result.name}.overviews") / f"{name}.h5" if result else None
         self._making: Iterator[float] | None = None
         self._there: bool | None = None
+        self.share = 0.0
 
     @property
     def are_made(self) -> bool:
@@ -65,17 +67,15 @@ class Overviews:
             self._there = self._path is not None and _origin_of(self._path) == _plain(self._origin)
         return self._there
 
-    def make(self) -> float:
-        """Make some more of them; returns the share that is made. Whoever asks next goes on from there."""
-        if self.are_made:
-            return 1.0
-        self._making = self._making or self._strips()
-        making, self._making = self._making or self._strips(), None
-        share = next(making, 1.0)
-        if share < 1.0:
-            self._making = making
-        self._there = share >= 1.0
-        return share
+    def make(self) -> None:
+        """Make some more of them; whoever asks next goes on from there, or begins anew after an error.
+
+        Raises:
+            ResultError: the disk refuses.
+        """
+        making, self._making, self.share = self._making or self._strips(), None, 0.0
+        self.share = next(making, 1.0)
+        self._making, self._there = (making, False) if self.share < 1.0 else (None, True)
 
     def read(self, level: int, across: slice, up: slice) -> LaneBlocks:
         """Return blocks of a level.

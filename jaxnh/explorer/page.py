@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import io
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -40,8 +40,8 @@ _SILENT = 0.4  # share of a pass between two words of progress
 _QUICK = 1.5  # seconds that a picture may take without a word of what is being done
 _REFUSED = "files are edited on the loopback alone: start jaxnh explore without --address, on this machine"
 
-Run = Callable[[dict[Path, str]], PageContent]
-"""The function that opens edited texts anew; raises `JaxnhError`."""
+Run = Callable[[dict[Path, str]], Iterator[PageContent | None]]
+"""The function that opens edited texts anew, and yields None while it checks them; raises `JaxnhError`."""
 
 
 class Page:
@@ -276,12 +276,11 @@ class Page:
             self._say(_REFUSED, error=True)
             return
 
-        def passes() -> Any:
-            yield run(texts)
+        def answer(opened: PageContent | None) -> None:
+            if opened is not None:
+                self._reopen(keeping(opened, self._source, self.seen), editor.state)
 
-        self._ask(
-            "texts", passes(), lambda opened: self._reopen(keeping(opened, self._source, self.seen), editor.state)
-        )
+        self._ask("texts", run(texts), answer)
 
     # ---- what is shown
 

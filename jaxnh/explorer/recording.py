@@ -18,6 +18,8 @@ from jaxnh.explorer.file_source import (
     rises_or_falls,
     words_with_units,
 )
+from jaxnh.explorer.fixed_parameters import fixed_parameters
+from jaxnh.explorer.overlays import ALONG_ONE
 from jaxnh.explorer.raster import MOST_CELLS, plane_raster, raster, values_of
 from jaxnh.explorer.source import LaneReport, Picture, PictureSource
 from jaxnh.explorer.tiled_plane import TiledPlane
@@ -76,9 +78,18 @@ def source_of(tree: xr.DataTree, name: str, path: Path | None = None) -> Picture
 
 
 def described(tree: xr.DataTree) -> dict[str, xr.Dataset]:
-    """The groups of a result by name, each with attributes that say how it is drawn."""
+    """The groups of a result by name, each with attributes that say how it is drawn.
+
+    Those that lie along one parameter have the values of the other parameters as coordinates, to be laid over planes.
+    """
     axes = str(tree.attrs.get("axes", ""))
-    return {str(k): describe(str(k), node.to_dataset().assign_attrs(axes=axes)) for k, node in tree.children.items()}
+    groups = {str(k): describe(str(k), node.to_dataset().assign_attrs(axes=axes)) for k, node in tree.children.items()}
+    along = groups.keys() & set(ALONG_ONE)
+    fixed = fixed_parameters(tree.attrs) if along else {}
+    for name in along:
+        others = {key: value for key, value in fixed.items() if key not in groups[name].variables}
+        groups[name] = groups[name].assign_coords(others)
+    return groups
 
 
 class RecordedDiagram(FileSource):

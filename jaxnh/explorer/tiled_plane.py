@@ -27,10 +27,12 @@ from jaxnh.plotting.panels import pixels_of
 from jaxnh.plotting.pixels import plane_of
 
 _AT_ONCE = 1 << 22  # lanes that a view is read of without overviews
+_TOUCHED = 1 << 24  # lanes of the blocks of the file that these lie in
 _SAMPLED = 128  # rows of a file that are read for a first look
 CHAOS = "chaos"
 """The quantity that no group has: which share of the lanes is chaotic."""
-_CHAOTIC, _NO_VERDICT = ("chaotic", "hyperchaotic"), ("undecided", "failed")
+
+_KINDS = ("chaotic", "hyperchaotic"), ("undecided", "failed")  # verdicts of chaos, and those that are none
 _IN_WORDS = {
     "mean": "the mean of those that have a number",
     "majority": "the colour of the most, the paler the more others there are; shares in the key are of pixels",
@@ -45,12 +47,14 @@ class Quantity(NamedTuple):
         rule: of blocks of lanes.
         data: the group at the first place of all other axes, described; of the drawn variable the attributes count.
         values: of a part of that group, (across, up).
+        chunks: lanes of a block of the file, across and up.
     """
 
     group: str
     rule: Rule
     data: xr.Dataset
     values: Callable[[xr.Dataset], xr.DataArray]
+    chunks: tuple[int, int]
 
 
 class TiledPlane(FileSource):
@@ -71,8 +75,8 @@ class TiledPlane(FileSource):
         """
         super().__init__(groups, groups[planes[0]], axes, attrs, name)
         data = {key: at_lanes(groups[key], {}, keep=axes) for key in planes}
-        self._quantities = {key: _quantity(key, each) for key, each in data.items()}
-        self._quantities |= _chaos(data)
+        self._quantities = {key: _quantity(key, each, axes) for key, each in data.items()}
+        self._quantities |= _chaos(self._quantities)
         self._others = {key: groups[key].load() for key in groups.keys() & {"attractors"}}
         self.variables = {
             key: label_of(each.data) or words_of(variables_of(each.data)[0]) for key, each in self._quantities.items()
@@ -92,15 +96,13 @@ class TiledPlane(FileSource):
         """The part of a plane that lies in a view; where overviews are needed and not made, first some of its lanes."""
         places = [places_inside(self._values[axis], view.ranges[axis], 2) for axis in self._axes]
         across, up = (slice(int(each[0]), int(each[-1]) + 1) for each in places)
-        lanes = len(places[0]) * len(places[1])
-        overviews = self._overviews[view.variable]
-        if lanes > _AT_ONCE and not overviews.are_made:
+        overviews, as_it_is = self._overviews[view.variable], self._is_read_as_it_is(view.variable, across, up)
+        if not as_it_is and not overviews.are_made:
             sample = self._sample(view.variable, across, up)
-            share = 0.0
-            while share < 1.0:
-                yield sample._replace(words=f"{sample.words}; overviews are made once, {share:.0%}")
-                share = overviews.make()
-        yield self._picture(view.variable, across, up, lanes)
+            while not overviews.are_made:
+                yield sample._replace(words=f"{sample.words}; overviews are made once, {overviews.share:.0%}")
+                overviews.make()
+        yield self._picture(view.variable, across, up, as_it_is=as_it_is)
 
     def lane(self, view: View, where: Mapping[str, float]) -> Iterator[LaneReport]:
         """The facts that the file has of the lane that is nearest to values of the axes."""
@@ -114,17 +116,28 @@ class TiledPlane(FileSource):
         part = quantity.data.isel({self._axes[0]: across, self._axes[1]: up})
         return quantity.values(part).transpose(*self._axes).to_numpy()
 
-    def _picture(self, name: str, across: slice, up: slice, lanes: int) -> Picture:
+    def _is_read_as_it_is(self, name: str, across: slice, up: slice) -> bool:
+        """Return whether a range is read lane by lane: every lane has a pixel, or it is little that is read."""
+        sizes = across.stop - across.start, up.stop - up.start
+        if not any(map(_level, sizes)):
+            return True
+        chunks = self._quantities[name].chunks
+        touched = [
+            (-(-part.stop // size) - part.start // size) * size for part, size in zip((across, up), chunks, strict=True)
+        ]
+        return sizes[0] * sizes[1] <= _AT_ONCE and touched[0] * touched[1] <= _TOUCHED
+
+    def _picture(self, name: str, across: slice, up: slice, *, as_it_is: bool) -> Picture:
         """The picture of a range of lanes, by pixels of as many of them as it takes."""
         rule, sizes = self._quantities[name].rule, (across.stop - across.start, up.stop - up.start)
         level = tuple(map(_level, sizes))
-        if lanes <= _AT_ONCE or not any(level):
+        if as_it_is:
             values = self._read(name, across, up)
             step, begins = (1 << level[0], 1 << level[1]), (across.start, up.start)
             blocks = lane_blocks(values, rule, [step])[0] if any(level) else LaneBlocks(values, np.ones(values.shape))
         else:
             least = max(min(level), 1)
-            while lanes >> 2 * least > _AT_ONCE:
+            while sizes[0] * sizes[1] >> 2 * least > _AT_ONCE:
                 least += 1
             parts = [slice(part.start >> least, -(-part.stop >> least)) for part in (across, up)]
             blocks = self._overviews[name].read(least, parts[0], parts[1])
@@ -198,28 +211,31 @@ def _words(sizes: tuple[int, int], step: tuple[int, int], blocks: LaneBlocks, ru
     return f"{words}, {step[0]} × {step[1]} a pixel{mixed}"
 
 
-def _quantity(name: str, data: xr.Dataset) -> Quantity:
+def _quantity(name: str, data: xr.Dataset, axes: tuple[str, str]) -> Quantity:
     """The quantity that the panel of a group is of."""
-    drawn = str(variables_of(data)[0].name)
+    variable = variables_of(data)[0]
+    drawn, chunks = str(variable.name), tuple(variable.encoding.get("chunksizes") or ())
+    own = dict(zip(variable.dims, chunks, strict=True)) if len(chunks) == variable.ndim else {}
 
     def values(part: xr.Dataset) -> xr.DataArray:
         item = part[drawn]
         return item.isel({dim: 0 for dim in item.dims if dim not in str(data.attrs["axes"]).split()})
 
-    return Quantity(name, "mean" if kind_of(data) == "curves" else "majority", data, values)
+    rule: Rule = "mean" if kind_of(data) == "curves" else "majority"
+    return Quantity(name, rule, data, values, (own.get(axes[0], 1), own.get(axes[1], 1)))
 
 
-def _chaos(data: Mapping[str, xr.Dataset]) -> dict[str, Quantity]:
+def _chaos(known: Mapping[str, Quantity]) -> dict[str, Quantity]:
     """The share of chaotic lanes, of those with a verdict, or else by the largest exponent and its error."""
-    if "verdict" in data:
-        name, known = "verdict", {flag: word for flag, (word, _) in meanings(data["verdict"]["kind"]).items()}
-        flags, without = ([f for f, word in known.items() if word in kinds] for kinds in (_CHAOTIC, _NO_VERDICT))
+    if "verdict" in known:
+        name, words_of_flags = "verdict", meanings(known["verdict"].data["kind"])
+        flags = {word: flag for flag, (word, _) in words_of_flags.items()}
 
         def values(part: xr.Dataset) -> xr.DataArray:
-            kind = part["kind"]
-            return kind.isin(flags).astype(float).where(~kind.isin(without))
+            chaotic, without = (part["kind"].isin([flags[word] for word in words if word in flags]) for words in _KINDS)
+            return chaotic.astype(float).where(~without)
 
-    elif "lyapunov" in data and "exponents_error" in data["lyapunov"]:
+    elif "lyapunov" in known and "exponents_error" in known["lyapunov"].data:
         name = "lyapunov"
 
         def values(part: xr.Dataset) -> xr.DataArray:
@@ -234,5 +250,5 @@ def _chaos(data: Mapping[str, xr.Dataset]) -> dict[str, Quantity]:
         "panel_levels": "0 1",
         "panel_label": "share of chaotic lanes",
     }
-    group = data[name].assign({CHAOS: xr.Variable((), np.nan, {"units": "1"})}).assign_attrs(about)
-    return {CHAOS: Quantity(name, "mean", group, values)}
+    group = known[name].data.assign({CHAOS: xr.Variable((), np.nan, {"units": "1"})}).assign_attrs(about)
+    return {CHAOS: Quantity(name, "mean", group, values, known[name].chunks)}

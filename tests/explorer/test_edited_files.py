@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import pytest
 
 from jaxnh.config.config import load_config
 from jaxnh.exceptions import ConfigError, InputError, ResultError
 from jaxnh.explorer.edited_files import MOST, edited_files, place_of
+from jaxnh.explorer.file_check import check_texts
 
 SYSTEM = """\
 def system(r=3.2):
@@ -82,3 +86,47 @@ def test_nothing_is_saved_over_a_change_of_somebody_else(files):
         files.save(edited(files, "3.", "2."))
     assert files.config.read_text() == CONFIG + "# theirs\n"
     assert (files.config.parent / "own.py").read_text() == SYSTEM
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        (
+            "        (x,) = y\n",
+            "        (x,) = y\n        while True:\n            pass\n",
+            (4, 5),
+            "a loop without an end",
+        ),
+        ("        (x,) = y\n", "        x = y[0] + 0 * 9 ** 9 ** 9\n", (3,), "stopped after 1 s"),
+        ("r * x", "q * x", (4,), "name 'q' is not defined"),
+        ("        (x,) = y\n", "        (x,) = y\n        import os\n        os._exit(3)\n", (1,), "status 3"),
+    ],
+)
+def test_texts_are_checked_by_a_process_of_its_own_that_may_not_go_on(files, old, new, line, words):
+    """A loop in Python, one inside of a single instruction, a fault, and an end of the process."""
+    with pytest.raises(InputError) as error:
+        list(check_texts(files, edited(files, old, new), seconds=1.0 if "stopped" in words else 4.0))
+    path, at, what = place_of(str(error.value), files)
+    assert path.name == ("own.yaml" if "status" in words else "own.py")
+    assert at in line
+    assert words in what
+
+
+def test_a_check_that_nobody_waits_for_is_ended(files):
+    before = set(children())
+    check = check_texts(files, edited(files, "        (x,) = y\n", "        while True:\n            pass\n"))
+    next(check)
+    [child] = set(children()) - before
+    check.close()
+    assert child not in children()
+
+
+def children():
+    """Processes that this one has started."""
+    return Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+
+
+def test_texts_that_are_right_pass_whatever_they_print(files):
+    assert set(check_texts(files, edited(files, "        (x,) = y\n", "        print('x')\n        (x,) = y\n"))) <= {
+        None
+    }

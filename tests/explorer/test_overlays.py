@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jaxnh.explorer.fixed_parameters import fixed_parameters
 from jaxnh.explorer.layers import REACH, Item, Layer, Scale, nearest, thin
 from jaxnh.explorer.overlays import layers_of
+from jaxnh.explorer.recording import described
 from tests.helpers.hand_made_results import (
     cascade_branches,
     cascade_marks,
     cat_manifolds,
     cusp_curves,
     cusp_point,
+    tree,
     window_rows,
 )
 
@@ -118,3 +121,46 @@ def test_manifolds_are_over_coordinates_of_the_start():
     assert branch.y == pytest.approx(0.5 * (np.sqrt(5) - 1) * branch.x)
     assert dict(branch.facts(3))["manifold"] == "unstable, of saddle 1"
     assert layers_of({"manifolds": cat_manifolds()}, "start_x1", "start_x2") == []
+
+
+def logistic_branches():
+    """Branches, bifurcations and windows of a result over b whose config has a at 0.25, and c by the default of a file."""
+    made = tree({"branches": cascade_branches(), "bifurcations": cascade_marks(), "windows": window_rows()})
+    text = "def system(b=3.0, a=1.0, c=8 / 3 - 1, e=len('no number')):\n    return {}\n"
+    config = "system: {file: own.py, a: 0.25}\nsweep: {b: {start: 2.0, stop: 4.0, count: 9}, f: {values: [7.0]}}\n"
+    return made.assign_attrs(config=config + "analyses: {branches: {}}\n", system_file=text)
+
+
+def test_what_lies_along_one_parameter_is_at_the_value_of_the_other_over_a_plane():
+    groups = described(logistic_branches())
+    across = layers_of(groups, "b", "a")
+    names = ["periodic windows", "period 1, stable", "period 1, unstable", "period 2, stable", "period 2, unstable"]
+    assert [layer.name for layer in across] == [*names, "fold", "period doubling"]
+    assert all(np.all(item.y == 0.25) for layer in across for item in layer.items)
+    assert all(layer.glyph == "line" for layer in across[:5])
+    assert list(named(across, "periodic windows").items[1].x) == [1 + np.sqrt(8), 3.8568]
+    [doubled] = named(across, "period 2, stable").items
+    assert np.nanmax(doubled.x) == pytest.approx(1 + np.sqrt(6), abs=0.05)  # where the orbit of period 2 doubles
+    assert dict(doubled.facts(3))["a"] == "0.25"
+    assert len(doubled.orbit(3)["x1"]) == 2
+    turned = layers_of(groups, "a", "b")
+    assert [layer.name for layer in turned] == [layer.name for layer in across]
+    for layer, other in zip(across, turned, strict=True):
+        for item, exchanged in zip(layer.items, other.items, strict=True):
+            assert np.array_equal(item.x, exchanged.y, equal_nan=True)
+            assert np.array_equal(item.y, exchanged.x)
+    assert layers_of(groups, "a", "c") == []
+
+
+def test_values_of_the_other_parameters_are_those_of_the_config_and_of_the_file():
+    assert fixed_parameters(logistic_branches().attrs) == {"a": 0.25, "c": 8 / 3 - 1, "f": 7.0}
+    particle = "system: {constraint: disturbed_speed, d: 0.2}\nsweep: {b: {start: 1, stop: 2, count: 3}}\nanalyses: {branches: {}}\n"
+    assert fixed_parameters({"config": particle}) == {"a": 0.5, "c": 1.0, "d": 0.2, "omega": 1.0}
+    assert fixed_parameters({"config": "nonsense: 1"}) == fixed_parameters({}) == {}
+
+
+def test_connecting_orbits_are_curves_without_a_period():
+    data = cusp_curves().drop_vars("period")
+    layers = layers_of({"homoclinic": data}, "p", "q")
+    assert [layer.name for layer in layers] == ["fold", "period doubling"]
+    assert dict(layers[0].items[0].facts(3))["curve"] == "fold"
