@@ -343,6 +343,9 @@ class ExploreBlock(Block):
     hidden: list[str] = Field(default_factory=list, description="Layers of the legend that are switched off")
     over: list[str] = Field(default_factory=list, description="Result files laid over the picture, beside this file")
     result: str | None = Field(default=None, description="Result file that is shown in place of computing")
+    system_file: str | None = Field(
+        default=None, description="Text of the user's file, for where that is not beside this file"
+    )
     camera: dict[Literal["azimuth", "elevation"], float] | None = Field(
         default=None, description="Angles in degrees of the portrait in three dimensions, where that is shown"
     )

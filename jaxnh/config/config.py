@@ -195,6 +195,11 @@ class UserConfig(Config):
     _path: Path = PrivateAttr()
     _user_text: str = PrivateAttr()
 
+    @property
+    def user_text(self) -> str:
+        """Text of the user's file."""
+        return self._user_text
+
     def check_clock(self, clock: bool) -> None:
         """Check accuracy and section; crossings need a section that the config gives."""
         super().check_clock(clock)
@@ -247,15 +252,32 @@ def config_of(
     if not isinstance(file, str):
         return _validate(Config, source, layout(Config, Sweep.model_fields))
     path = folder / file
-    if user_text is None:
-        if not path.is_file():
-            raise source.error(("system", "file"), f"there is no file {path}")
-        user_text = read_text(path)
+    user_text = _user_text(source, path) if user_text is None else user_text
     names = names or names_in(user_text, path)
     where = layout(UserConfig, axes if isinstance(axes, dict) else ())
     config = _validate(UserConfig, source, where, names)
     config._names, config._path, config._user_text = names, path, user_text
     return config
+
+
+def _user_text(source: ConfigSource, path: Path) -> str:
+    """Text of a user's file; where it is not there, the one that a saved view carries.
+
+    Raises:
+        ConfigError: there is neither, or they say different things.
+    """
+    explore = source.data.get("explore")
+    carried = explore.get("system_file") if isinstance(explore, dict) else None
+    if not path.is_file():
+        if isinstance(carried, str):
+            return carried
+        raise source.error(("system", "file"), f"there is no file {path}")
+    text = read_text(path)
+    if isinstance(carried, str) and carried != text:
+        raise source.error(
+            ("explore", "system_file"), f"{path} is there and says something else; leave out one of the two"
+        )
+    return text
 
 
 def load_config(path: str | Path, overrides: Sequence[str] = (), user_text: str | None = None) -> Config:

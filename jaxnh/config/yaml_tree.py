@@ -29,6 +29,7 @@ from ruamel.yaml.events import (
 from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.representer import RoundTripRepresenter
+from ruamel.yaml.scalarstring import LiteralScalarString
 
 KeyPath = tuple[str | int, ...]
 """Keys, and numbers of list items, from the top level down; () is the whole file."""
@@ -239,6 +240,8 @@ def tree_of(node: Any, positions: dict[KeyPath, tuple[int, int]], path: KeyPath 
         return [tree_of(item, positions, (*path, i)) for i, item in enumerate(node)]
     if isinstance(node, Path):
         return str(node)
+    if isinstance(node, str) and "\n" in node:
+        return LiteralScalarString(node)  # lines stay lines
     if node is None or isinstance(node, str | bool | int | float):
         return node
     raise Fault(f"a config has mappings, lists, text and numbers, and no {type(node).__name__}", 1, path)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxnh.config.config import Config, UserConfig, config_of
-from jaxnh.config.yaml_source import from_text
+from jaxnh.config.yaml_source import from_dict, from_text
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.storage.atomic import replace_atomically, target_of
 
@@ -57,18 +57,30 @@ class EditedFiles:
         """Write those texts that have changed, each file whole or not at all; returns what is on disk then.
 
         Raises:
+            InputError: the text of the config is no YAML.
             ResultError: a file has been changed by somebody else since it was read, or cannot be written.
         """
-        changed = {path: text for path, text in texts.items() if text != self.texts[path]}
-        for path in changed:
+        texts = self._carrying(texts)
+        missing = {path for path in texts if not path.is_file()}
+        changed = {path: text for path, text in texts.items() if text != self.texts[path] or path in missing}
+        for path in changed.keys() - missing:
             if _read(path) != self.texts[path]:
                 raise ResultError(f"{path} has changed on disk since it was read: open the page anew")
         for path, text in changed.items():
-            ends = b"\r\n" if b"\r\n" in path.read_bytes() else b"\n"
+            ends = b"\r\n" if path not in missing and b"\r\n" in path.read_bytes() else b"\n"
             with replace_atomically(target_of(path)) as sink:
                 sink.write(text.encode().replace(b"\n", ends))
                 sink.settle()
         return EditedFiles(self.config, self.overrides, {**self.texts, **texts})
+
+    def _carrying(self, texts: dict[Path, str]) -> dict[Path, str]:
+        """The same, with a config that carries the text of the user's file made to carry this one."""
+        data, others = from_text(texts[self.config]).data, [text for path, text in texts.items() if path != self.config]
+        explore = data.get("explore")
+        if not others or not isinstance(explore, dict) or explore.get("system_file") in (None, others[0]):
+            return texts
+        data = {**data, "explore": {**explore, "system_file": others[0]}}
+        return {**texts, self.config: from_dict(data).text}
 
 
 def edited_files(config: Config, overrides: Sequence[str]) -> EditedFiles | None:
@@ -79,10 +91,11 @@ def edited_files(config: Config, overrides: Sequence[str]) -> EditedFiles | None
     """
     if config.source is None:
         return None
-    paths = [config.source]
+    texts = {config.source: _read(config.source)}
     if isinstance(config, UserConfig):
-        paths.append(config.source.parent / config.system.file)
-    return EditedFiles(config.source, tuple(overrides), {path: _read(path) for path in paths})
+        file = config.source.parent / config.system.file
+        texts[file] = _read(file) if file.is_file() else config.user_text
+    return EditedFiles(config.source, tuple(overrides), texts)
 
 
 def _read(path: Path) -> str:

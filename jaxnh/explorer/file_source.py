@@ -31,6 +31,7 @@ class FileSource:
         self._groups = {key: groups[key] for key in _OF_A_LANE if key in groups}
         self.overlays = {key: groups[key] for key in GROUPS if key in groups}
         self._attrs, self.title = attrs, attrs["title"]
+        self.system_text = str(attrs.get("system_file", ""))
         self.axis_words = {axis: words_with_units(first[axis]) for axis in axes}
         others = [
             axis for axis in str(first.attrs["axes"]).split() if axis not in axes and first.sizes.get(axis, 1) > 1

@@ -53,23 +53,30 @@ def lane_blocks(values: np.ndarray, rule: Rule, steps: Sequence[tuple[int, int]]
     return [LaneBlocks(kind, count / every) for kind, count, every in zip(kinds, most, lanes, strict=True)]
 
 
-def merge_blocks(blocks: LaneBlocks, rule: Rule, step: tuple[int, int]) -> LaneBlocks:
-    """Return larger blocks of blocks, which count as their shares say.
+def merge_blocks(blocks: LaneBlocks, lanes: np.ndarray, rule: Rule, step: tuple[int, int]) -> LaneBlocks:
+    """Return larger blocks of blocks.
 
     Of categories that is no count of lanes: a block of blocks has the category that most lanes have in the blocks
     where it is the most frequent, and their share of all lanes, which is the least that the share can be.
+
+    Args:
+        blocks: as they are.
+        lanes: number of lanes of each of them, (across, up).
+        rule: of a block.
+        step: as of `lane_blocks`.
     """
-    [every] = _sums(np.ones(blocks.share.shape, np.float32), [step])
+    weights = blocks.share * lanes
+    [every] = _sums(lanes.astype(np.float32), [step])
     if rule == "mean":
-        known = np.where(blocks.share > 0, blocks.values, 0.0) * blocks.share
-        ([total], [share]) = (list(_sums(each, [step])) for each in (known, blocks.share))
-        values = np.divide(total, share, out=np.full(total.shape, np.nan), where=share > 0)
-        return LaneBlocks(values, share / every)
+        known = np.where(weights > 0, blocks.values, 0.0) * weights
+        ([total], [weight]) = (list(_sums(each, [step])) for each in (known, weights))
+        values = np.divide(total, weight, out=np.full(total.shape, np.nan), where=weight > 0)
+        return LaneBlocks(values, weight / every)
     most, kinds = np.zeros(every.shape, np.float32), np.zeros(every.shape, blocks.values.dtype)
     for category in _categories(blocks.values):
-        [share] = _sums(np.where(blocks.values == category, blocks.share, 0.0).astype(np.float32), [step])
-        more = share > most
-        kinds[more], most[more] = category, share[more]
+        [count] = _sums(np.where(blocks.values == category, weights, 0.0).astype(np.float32), [step])
+        more = count > most
+        kinds[more], most[more] = category, count[more]
     return LaneBlocks(kinds, most / every)
 
 

@@ -59,6 +59,7 @@ class LiveDiagram:
         axis, flow = next(axis for axis in experiment.axes if len(axis.values) > 1), experiment.flow()
         self.sessions = Sessions(experiment, [axis], ["diagram"], progress)
         self.parameters = self.sessions.parameters
+        self.system_text = experiment.user_file.text if experiment.user_file else ""
         options: Mapping[str, Any] = self.sessions.own.get("diagram") or {}
         self.title = experiment.title or experiment.label
         self._notes = (

@@ -69,6 +69,7 @@ class LivePlane:
             )
         self.sessions = Sessions(experiment, axes, offered, progress)
         self.parameters = self.sessions.parameters
+        self.system_text = experiment.user_file.text if experiment.user_file else ""
         self.title = experiment.title or experiment.label
         self.axis_words = {axis.name: axis_title(axis.long_name, axis.units) for axis in axes}
         self.variables = {name: _WORDS[name] for name in offered}

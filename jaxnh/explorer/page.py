@@ -322,8 +322,9 @@ class Page:
         first = self._source.first
         whole = dict(first.ranges) if self._source.computes else {}
         selected = self._selected or None
-        more = {"hidden": tuple(sorted(self._laid.hidden)), "camera": self._portrait.angles}
-        return replace(self._saved, view=as_query(self._history.now), whole=whole, selected=selected, **more)
+        more: dict[str, Any] = {"hidden": tuple(sorted(self._laid.hidden)), "camera": self._portrait.angles}
+        more |= {"whole": whole, "selected": selected, "system_file": self._source.system_text}
+        return replace(self._saved, view=as_query(self._history.now), **more)
 
     def _save_yaml(self) -> io.StringIO:
         now = self._history.now

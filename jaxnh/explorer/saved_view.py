@@ -24,6 +24,7 @@ class SavedView:
         over: result files that are laid over the picture.
         result: result file that is shown; "": pictures are computed.
         camera: angles of the portrait in three dimensions; None: it is of two.
+        system_file: text of the user's file; "": there is none.
     """
 
     view: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -33,6 +34,7 @@ class SavedView:
     over: tuple[str, ...] = ()
     result: str = ""
     camera: Mapping[str, float] | None = None
+    system_file: str = ""
 
     def with_files(self, result: str, over: Sequence[str]) -> SavedView:
         """The same with other names of files."""
@@ -60,7 +62,7 @@ def saved_view(block: ExploreBlock | None) -> SavedView:
     words = {name: value if isinstance(value, str) else repr(value) for name, value in block.view.items()}
     camera = {str(name): angle for name, angle in block.camera.items()} if block.camera else None
     lists = tuple(block.hidden), tuple(block.over)
-    return SavedView(words, block.whole, block.selected, *lists, block.result or "", camera)
+    return SavedView(words, block.whole, block.selected, *lists, block.result or "", camera, block.system_file or "")
 
 
 def yaml_of(config: str, view: View, saved: SavedView) -> str:
@@ -81,8 +83,7 @@ def yaml_of(config: str, view: View, saved: SavedView) -> str:
     for name in ("hidden", "over"):
         if given := getattr(saved, name):
             block[name] = list(given)
-    if saved.result:
-        block["result"] = saved.result
+    block |= {name: text for name in ("result", "system_file") if (text := getattr(saved, name))}
     return from_dict({**from_text(config).data, "explore": block}).text
 
 

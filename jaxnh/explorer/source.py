@@ -70,6 +70,7 @@ class PictureSource(Protocol):
         parameters: those that can be moved.
         computes: whether depth, accuracy and parameters can be chosen.
         overlays: groups that can be laid over the pictures, described, by name.
+        system_text: text of the user's file; "": there is none.
     """
 
     @property
@@ -86,6 +87,8 @@ class PictureSource(Protocol):
     def computes(self) -> bool: ...
     @property
     def overlays(self) -> Mapping[str, xr.Dataset]: ...
+    @property
+    def system_text(self) -> str: ...
 
     def passes(self, view: View) -> Iterator[Picture]:
         """Pictures of a view, each better than the one before."""

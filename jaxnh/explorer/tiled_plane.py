@@ -130,25 +130,39 @@ class TiledPlane(FileSource):
     def _picture(self, name: str, across: slice, up: slice, *, as_it_is: bool) -> Picture:
         """The picture of a range of lanes, by pixels of as many of them as it takes."""
         rule, sizes = self._quantities[name].rule, (across.stop - across.start, up.stop - up.start)
-        level = tuple(map(_level, sizes))
+        levels = _level(sizes[0]), _level(sizes[1])
         if as_it_is:
             values = self._read(name, across, up)
-            step, begins = (1 << level[0], 1 << level[1]), (across.start, up.start)
-            blocks = lane_blocks(values, rule, [step])[0] if any(level) else LaneBlocks(values, np.ones(values.shape))
+            step, begins = (1 << levels[0], 1 << levels[1]), (across.start, up.start)
+            blocks = lane_blocks(values, rule, [step])[0] if any(levels) else LaneBlocks(values, np.ones(values.shape))
         else:
-            least = max(min(level), 1)
-            while sizes[0] * sizes[1] >> 2 * least > _AT_ONCE:
-                least += 1
-            parts = [slice(part.start >> least, -(-part.stop >> least)) for part in (across, up)]
-            blocks = self._overviews[name].read(least, parts[0], parts[1])
-            more = (1 << max(level[0] - least, 0), 1 << max(level[1] - least, 0))
-            blocks = merge_blocks(blocks, rule, more) if max(more) > 1 else blocks
-            step, begins = (more[0] << least, more[1] << least), (parts[0].start << least, parts[1].start << least)
+            blocks, step, begins = self._blocks(name, across, up, levels)
         edges = [
-            _edges(self._values[axis], begin, size, count)
+            cell_edges(self._values[axis])[_starts(len(self._values[axis]), begin, size, count)]
             for axis, begin, size, count in zip(self._axes, begins, step, blocks.values.shape, strict=True)
         ]
         return self._drawn(name, blocks, edges, _words(sizes, step, blocks, rule), step)
+
+    def _blocks(
+        self, name: str, across: slice, up: slice, levels: tuple[int, int]
+    ) -> tuple[LaneBlocks, tuple[int, int], tuple[int, int]]:
+        """Blocks of overviews about a range, how many lanes they have either way, and the first lane of the first one."""
+        level = max(min(levels), 1)
+        while (across.stop - across.start) * (up.stop - up.start) >> 2 * level > _AT_ONCE:
+            level += 1
+        size, rule = 1 << level, self._quantities[name].rule
+        begins = across.start // size * size, up.start // size * size
+        counts = [-(-(part.stop - begin) // size) for part, begin in zip((across, up), begins, strict=True)]
+        parts = [slice(begin // size, begin // size + count) for begin, count in zip(begins, counts, strict=True)]
+        blocks = self._overviews[name].read(level, parts[0], parts[1])
+        more = 1 << max(levels[0] - level, 0), 1 << max(levels[1] - level, 0)
+        if max(more) > 1:
+            lanes = [
+                np.diff(_starts(every, begin, size, count))
+                for every, begin, count in zip(self._shape, begins, counts, strict=True)
+            ]
+            blocks = merge_blocks(blocks, np.outer(*lanes), rule, more)
+        return blocks, (more[0] * size, more[1] * size), begins
 
     def _drawn(
         self, name: str, blocks: LaneBlocks, edges: list[np.ndarray], words: str, step: tuple[int, int]
@@ -197,10 +211,9 @@ def _level(lanes: int) -> int:
     return level
 
 
-def _edges(values: np.ndarray, begin: int, size: int, count: int) -> np.ndarray:
-    """Edges of blocks of so many lanes from a place of an axis on; the last one may have fewer."""
-    places = np.minimum(begin + size * np.arange(count + 1), len(values))
-    return cell_edges(values)[places]
+def _starts(lanes: int, begin: int, size: int, count: int) -> np.ndarray:
+    """Places of the first lanes of blocks, and of the end of the last one."""
+    return np.minimum(begin + size * np.arange(count + 1), lanes)
 
 
 def _words(sizes: tuple[int, int], step: tuple[int, int], blocks: LaneBlocks, rule: Rule) -> str:

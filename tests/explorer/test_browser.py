@@ -16,7 +16,16 @@ import numpy as np
 import pytest
 
 import jaxnh
-from tests.helpers.hand_made_results import cascade_branches, cascade_marks, states, tree, window_rows, write
+from sweeps.timing.explore_tiles import make_chart
+from tests.helpers.hand_made_results import (
+    cascade_branches,
+    cascade_marks,
+    dataset,
+    states,
+    tree,
+    window_rows,
+    write,
+)
 from tests.helpers.paths import ROOT
 
 pytest.importorskip("panel", reason="the extra explore is missing")
@@ -460,6 +469,84 @@ def test_files_are_edited_run_and_saved_and_the_view_is_kept(tab, tmp_path):
         assert view(page) == pytest.approx((1.55, 1.65))
         page.keyboard.press("0")
         page.wait_for_function("() => location.search.includes('low=1.5&high=1.7')")
+    finally:
+        assert ended(process) == 0
+
+
+@pytest.mark.slow  # it waits for the end of a check's time; `test_edited_files` has the check alone
+def test_a_loop_in_an_edited_file_is_said_at_its_line_and_the_server_goes_on(tab, tmp_path):
+    (tmp_path / "own.yaml").write_text(MAP_CONFIG)
+    (tmp_path / "own.py").write_text(MAP)
+    process, address = started(tmp_path / "own.yaml", "--columns", COLUMNS)
+    try:
+        page = tab(address)
+        whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+        page.get_by_role("button", name="Edit the files").click()
+        page.locator("textarea").nth(1).fill(
+            MAP.replace("        x, z, w = y", "        while y:\n            x, z, w = y")
+        )
+        page.get_by_role("button", name="Check and run").click()
+        page.get_by_text("checking…").wait_for()
+        other = tab(address)
+        whole(other, f"{COLUMNS} values, 8 strobes after 64 periods")
+        other.keyboard.press("+")
+        other.wait_for_function("() => location.search.includes('low=3.1')")
+        whole(other, f"{COLUMNS} values, 8 strobes after 64 periods")
+        page.bring_to_front()
+        page.get_by_text("a loop without an end").first.wait_for()
+        assert page.locator(".gutter b").inner_text() in ("3", "4")
+        shot(page, "loop")
+        page.locator("textarea").nth(1).fill(MAP)
+        page.get_by_role("button", name="Check and run").click()
+        whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+    finally:
+        assert ended(process) == 0
+
+
+def test_a_large_chart_is_shown_by_blocks_of_lanes_and_zoomed_down_to_lanes(tab, tmp_path):
+    chart = tmp_path / "chart.h5"
+    make_chart(chart, 2100)
+    process, address = started(chart)
+    try:
+        page = tab(address)
+        whole(page, "2,100 × 2,100 lanes, 2 × 2 a pixel")
+        shot(page, "tiles")
+        zoom(page, "lanes, 2 × 1 a pixel", left=0.1, right=0.9)
+        zoom(page, "lanes", left=0.45, right=0.5)
+        words = page.locator(".status").first.inner_text()
+        assert "pixel" not in words
+        low, high = view(page)
+        assert words.startswith(f"{np.sum(np.abs(np.linspace(0, 1, 2100) - (low + high) / 2) <= (high - low) / 2)} × ")
+        click(page, 0.5, 0.5)
+        page.get_by_text("least period").last.wait_for()
+        assert low <= float(facts(page)["b"]) <= high
+        shot(page, "tiles_zoomed")
+        assert b"jaxlib" not in maps_of(process)
+    finally:
+        assert ended(process) == 0
+    assert [path.name for path in tmp_path.glob("*.overviews/*")] == ["lyapunov.h5"]
+
+
+def test_windows_and_branches_are_laid_over_a_plane_at_the_other_parameter_of_their_result(tab, tmp_path):
+    """The branch of period 1 of the logistic map is stable up to b = 3, and its result is at a = 0.4."""
+    config = "system: {file: own.py, a: 0.4}\nsweep: {b: {start: 2, stop: 4, count: 9}}\nanalyses: {branches: {}}\n"
+    over = tree({"branches": cascade_branches(), "windows": window_rows()})
+    over.attrs |= {"config": config, "system_file": "def system(a=1.0, b=2.0):\n    return {}\n"}
+    write(tmp_path / "over.h5", over)
+    axes = {"b": (np.linspace(2.0, 4.0, 9), "coupling b"), "a": (np.linspace(0.0, 1.0, 5), "depth a")}
+    about = {"panel": "integers", "panel_variables": "period", "panel_label": "least period"}
+    made = {"period": (("b", "a"), np.ones((9, 5), int), "least period", "1")}
+    write(tmp_path / "plane.h5", tree({"period": dataset(axes, made, **about)}, axes="b a"))
+    process, address = started(tmp_path / "plane.h5", "--over", tmp_path / "over.h5")
+    try:
+        page = tab(address)
+        page.get_by_text("9 × 5 lanes", exact=True).wait_for()
+        page.wait_for_timeout(500)
+        click(page, (2.8 - 2.0) / 2.0, 0.4)  # the view is from the first lane to the last
+        page.get_by_text("period 1, stable").last.wait_for()
+        assert float(facts(page)["b"]) == pytest.approx(2.8, abs=0.03)
+        assert facts(page)["a"] == "0.4"
+        shot(page, "over_plane")
     finally:
         assert ended(process) == 0
 

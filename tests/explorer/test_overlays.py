@@ -128,7 +128,8 @@ def logistic_branches():
     made = tree({"branches": cascade_branches(), "bifurcations": cascade_marks(), "windows": window_rows()})
     text = "def system(b=3.0, a=1.0, c=8 / 3 - 1, e=len('no number')):\n    return {}\n"
     config = "system: {file: own.py, a: 0.25}\nsweep: {b: {start: 2.0, stop: 4.0, count: 9}, f: {values: [7.0]}}\n"
-    return made.assign_attrs(config=config + "analyses: {branches: {}}\n", system_file=text)
+    made.attrs |= {"config": config + "analyses: {branches: {}}\n", "system_file": text}
+    return made
 
 
 def test_what_lies_along_one_parameter_is_at_the_value_of_the_other_over_a_plane():
