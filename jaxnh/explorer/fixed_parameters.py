@@ -20,7 +20,7 @@ _OPERATORS: Mapping[type[ast.operator], Callable[[float, float], float]] = {
 }
 
 
-def fixed_parameters(attrs: Mapping[str, Any]) -> dict[str, float]:
+def fixed_parameters(attrs: Mapping[Any, Any]) -> dict[str, float]:
     """Return the parameters that have one value in a result, those of axes with one value too.
 
     Args:

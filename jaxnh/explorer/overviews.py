@@ -19,7 +19,7 @@ import numpy as np
 from jaxnh.exceptions import ResultError
 from jaxnh.explorer.lane_blocks import LaneBlocks, Rule, lane_blocks
 from jaxnh.storage.atomic import Sink, replace_atomically
-from jaxnh.storage.hdf5 import SEAL, UNREADABLE, read_attrs
+from jaxnh.storage.hdf5 import SEAL, UNREADABLE, read, read_attrs, variable
 
 _VERSION = 1  # of the rules and of the layout of the file
 _STRIP = 1 << 21  # lanes that are read at once
@@ -53,7 +53,8 @@ class Overviews:
             levels: how many there are to be.
             strip: reads lanes.
         """
-        self._name, self._shape, self._rule, self.levels, self._strip = name, shape, rule, levels, strip
+        self._name, self._shape, self.levels, self._strip = name, shape, levels, strip
+        self._rule: Rule = rule
         self._origin = {"version": _VERSION, "rule": rule, "levels": levels, "shape": shape, **_identity(result)}
         self._path = result.with_name(f"{result.name}.overviews") / f"{name}.h5" if result else None
         self._making: Iterator[float] | None = None
@@ -86,7 +87,7 @@ class Overviews:
         assert self._path is not None
         try:
             with h5py.File(self._path, "r") as file:
-                values, share = (file[f"{kind}_{level}"][across, up] for kind in ("values", "share"))
+                values, share = (read(variable(file, f"{kind}_{level}"), (across, up)) for kind in ("values", "share"))
         except UNREADABLE as error:
             raise ResultError(f"{self._path} cannot be read: remove it, and it is made again") from error
         return LaneBlocks(values, share / _PARTS)
@@ -122,7 +123,7 @@ class Overviews:
                 file.create_dataset(
                     name, shape, values.dtype, chunks=chunks, shuffle=True, compression="gzip", compression_opts=1
                 )
-            file[name][begin : begin + len(values)] = values
+            variable(file, name)[begin : begin + len(values)] = values
 
     @contextlib.contextmanager
     def _writable(self) -> Iterator[Sink]:

@@ -146,7 +146,7 @@ class TiledPlane(FileSource):
     def _blocks(
         self, name: str, across: slice, up: slice, levels: tuple[int, int]
     ) -> tuple[LaneBlocks, tuple[int, int], tuple[int, int]]:
-        """Blocks of overviews about a range, how many lanes they have either way, and the first lane of the first one."""
+        """Blocks of overviews about a range, how many lanes they have either way, and where the first one begins."""
         level = max(min(levels), 1)
         while (across.stop - across.start) * (up.stop - up.start) >> 2 * level > _AT_ONCE:
             level += 1

@@ -25,7 +25,7 @@ import numpy as np
 from jaxnh.explorer.recording import open_recording
 from jaxnh.explorer.view import View
 from jaxnh.storage.chunks import row_chunks
-from jaxnh.storage.hdf5 import VERSION, attach, create, set_attributes
+from jaxnh.storage.hdf5 import VERSION, attach, create, set_attributes, variable
 from sweeps.checks.measured_at import ROOT, stamp
 from sweeps.timing.effects import processor
 
@@ -88,10 +88,10 @@ def make_chart(path: Path, count: int) -> None:
             rows = slice(begin, min(begin + _ROWS, count))
             exponents, periods = _lanes(axis[rows], axis, rng)
             chaotic = exponents > 0.01
-            file["lyapunov/exponents"][rows] = exponents[..., None]
-            file["lyapunov/exponents_error"][rows] = np.full_like(exponents, 0.01)[..., None]
-            file["period/period"][rows] = np.where(chaotic, 0, periods)
-            file["verdict/kind"][rows] = np.where(chaotic, 2, np.where(exponents > -0.01, 3, 0))
+            variable(file, "lyapunov/exponents")[rows] = exponents[..., None]
+            variable(file, "lyapunov/exponents_error")[rows] = np.full_like(exponents, 0.01)[..., None]
+            variable(file, "period/period")[rows] = np.where(chaotic, 0, periods)
+            variable(file, "verdict/kind")[rows] = np.where(chaotic, 2, np.where(exponents > -0.01, 3, 0))
 
 
 def _lanes(b: np.ndarray, d: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
