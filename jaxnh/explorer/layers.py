@@ -18,6 +18,7 @@ REACH = 8.0
 """Pixels from a click within which a curve or a point is meant."""
 
 _PIXELS_BEYOND = 400.0  # of the view, within which a curve is drawn, so that a short pan shows it
+_TOGETHER = 0.25  # pixels between curves that lie on each other
 _FINEST = 0.5  # pixels between points of a curve that are drawn
 
 
@@ -85,8 +86,11 @@ class Hit(NamedTuple):
 
 
 def nearest(layers: Iterable[Layer], x: float, y: float, scale: Scale) -> Hit | None:
-    """Return the curve or point that is nearest to a place, within `REACH`; where there is none the band around it."""
-    best, hit, band = REACH, None, None
+    """Return the curve or point that is nearest to a place, within `REACH`; where there is none the band around it.
+
+    Of some that lie on each other it is the one that is drawn last.
+    """
+    best, hit, band = np.inf, None, None
     at = scale.pixels(np.array(x), np.array(y))
     for layer in layers:
         for item in layer.items:
@@ -95,8 +99,8 @@ def nearest(layers: Iterable[Layer], x: float, y: float, scale: Scale) -> Hit | 
                     band = band or Hit(layer, item, int(abs(x - item.x[1]) < abs(x - item.x[0])))
                 continue
             far, point = _distance(item, at, scale, joined=layer.glyph == "line")
-            if far < best or (far == best and hit is None):
-                best, hit = far, Hit(layer, item, point)
+            if far <= REACH and far < best + _TOGETHER:
+                best, hit = min(best, far), Hit(layer, item, point)
     return hit or band
 
 

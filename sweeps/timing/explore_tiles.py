@@ -66,10 +66,13 @@ def make_chart(path: Path, count: int) -> None:
         "period": {
             "period": (np.int32, ("b", "d"), {"long_name": "least period", "units": "1"}),
             "residual": (np.float64, ("b", "d"), {"long_name": "residual", "units": "1"}),
+            "multiplier": (np.float64, ("b", "d"), {"long_name": "multiplier", "units": "1"}),
+            "status": (np.int8, ("b", "d"), {"long_name": "status", "units": "1"}),
         },
         "verdict": {
             "kind": (np.int8, ("b", "d"), {"long_name": "kind of motion", **flags}),
             "recurrence_lag": (np.int32, ("b", "d"), {"long_name": "lag", "units": "1"}),
+            "phase_volume": (np.int8, ("b", "d"), {"long_name": "phase volume", "units": "1"}),
         },
     }
     with h5py.File(path, "w", track_order=True, libver=VERSION) as file:
