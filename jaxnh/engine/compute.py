@@ -90,10 +90,10 @@ def numerical_plan(plan: Plan, chosen: Mapping[str, Mapping[str, int]]) -> Numer
     return NumericalPlan(*common, chosen, rolled, plan.sizes, plan.parts, plan.step_classes)
 
 
-def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor) -> LaneExecutor:
+def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor, plan: Plan) -> LaneExecutor:
     """The executor in tiles for a sweep of so many lanes, of an analysis that has no others than these."""
     by_lane = analysis.independent(options) and analysis.starts(options) is None
-    return lanes.in_tiles(lanes_a_tile(count), count) if by_lane else lanes
+    return lanes.in_tiles(lanes_a_tile(count, plan.kicks), count) if by_lane else lanes
 
 
 # ---- pieces
@@ -187,7 +187,7 @@ def _groups(
         analysis = ANALYSES[name]
         needs = analysis.options.needs
         needed = ({need: groups[need] for need in needs},) if needs else ()
-        few = executor_for(analysis, options[name], count or experiment.sweep.lanes, lanes)
+        few = executor_for(analysis, options[name], count or experiment.sweep.lanes, lanes, plan)
         groups[name] = analysis.run(options[name], lane_batch, few, *needed)
     return groups
 

@@ -228,7 +228,7 @@ def choose(
         for analysis, options in choosing:
             assert analysis.choose is not None
             before = choices.setdefault(analysis.name, {})
-            few = executor_for(analysis, options, experiment.sweep.lanes, lanes.on_host())
+            few = executor_for(analysis, options, experiment.sweep.lanes, lanes.on_host(), plan)
             for key, number in analysis.choose(options, lane_batch, few).items():
                 before[key] = max(number, before.get(key, number))
     return choices

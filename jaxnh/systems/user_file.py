@@ -57,6 +57,7 @@ from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.scaled_time import in_periods
+from jaxnh.systems.small_arrays import by_numbers
 from jaxnh.systems.switched_mechanics import switched_mechanics
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
@@ -185,6 +186,8 @@ class UserFile:
             if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
         made = {key: components_of(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
+        if "rhs" in made:
+            made["rhs"] = by_numbers(made["rhs"])
         return {key: pointwise(one) if key in FUNCTIONS and one else one for key, one in made.items()}
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:

@@ -56,8 +56,14 @@ def test_few_steps_are_in_a_loop_and_many_are_written_out():
 @given(st.integers(1, 10**7))
 def test_a_tile_is_no_larger_than_a_sweep_fills(lanes):
     tile = lanes_a_tile(lanes)
-    assert tile in (8, 32, 128, 256)
+    assert tile in (8, 16, 24, 32, 128, 256)
     assert tile == 8 or math.ceil(lanes / tile) * tile < 4 * lanes
+    assert tile in (128, 256) or math.ceil(lanes / tile) * tile - lanes < 8 * math.ceil(lanes / tile)
+
+
+@given(st.integers(1, 10**7))
+def test_long_periods_of_few_lanes_have_no_padding(lanes):
+    assert lanes_a_tile(lanes, 10**5) == (lanes if lanes < 8 else lanes_a_tile(lanes))
 
 
 def test_both_forms_are_the_same_map(lanes):

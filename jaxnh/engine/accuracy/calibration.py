@@ -61,6 +61,11 @@ class Plan(NamedTuple):
     parts: int = 1
     step_classes: str = ""
 
+    @property
+    def kicks(self) -> int:
+        """Evaluations of the field a period by a Runge–Kutta method; 0 by others, as that of tables."""
+        return self.solver.stages * self.steps if isinstance(self.solver, WrittenOutRungeKutta) else 0
+
 
 class Calibration:
     """Errors of one period's map on sample lanes: up to 1024 across the sweep, over the first 170 periods of each.
@@ -209,11 +214,17 @@ class Calibration:
         return None, self._errors(*nearest[:3])
 
     def _measure_reference(self) -> None:
-        """Measure the reference, and the rounding of plain sums."""
-        args = self._maps, self._samples, self._sizes
-        self._reference = refine_reference(*args, self._target, self._largest_at)
+        """Measure the reference."""
+        self._reference = refine_reference(self._maps, self._samples, self._sizes, self._target, self._largest_at)
         self.floor = self._largest(self._reference.known)
-        self._rounding = rounding_of_sums(*args, self._reference.kicks, self._largest)
+        self._rounding: float | None = None
+
+    def _rounding_of_sums(self) -> float:
+        """The rounding of plain sums, measured when it is first asked for: not where no map meets the target."""
+        if self._rounding is None:
+            args = self._maps, self._samples, self._sizes, self._reference.kicks
+            self._rounding = rounding_of_sums(*args, self._largest, self._target)
+        return self._rounding
 
     def _split_unit(self) -> bool:
         """Take parts of the unit of time in place of it, as its motion enlarges even rounding too much; or no more.
@@ -292,7 +303,7 @@ class Calibration:
         def strobe(row: int) -> ReturnMap:
             return in_precision(maps(row), self._precision)
 
-        chance = 0.0 if compensated else self._rounding
+        chance = 0.0 if compensated else self._rounding_of_sums()
         apart = differences(self._maps.image(strobe, self._samples), self._reference.image)
         return np.maximum(SAFETY * np.maximum(gaps_between(apart, self._sizes), chance), self._reference.known)
 

@@ -23,6 +23,9 @@ _WORTH_COMPARING = 0.5  # seconds of a run: solvers differ by a third of it, and
 _WORTH_CLASSES = 10.0  # seconds of a run: a look at all lanes takes some, and programs of more tiles a second each
 _TILES = ((16, 8), (128, 32), (512, 128))  # lanes of a sweep up to which a tile has so many
 _LARGEST_TILE = 256
+_VECTOR = 8  # lanes of a vector; of a tile of few lanes each vector of padding costs as much as one of lanes
+_UP_TO = 32  # lanes of a tile that holds as few vectors as its lanes need
+_MANY_KICKS = 4096  # a period; of one lane, sines of its padding take up to seven eighths of the time
 
 
 def quickest_form(solver: Solver, flow: Flow, lane_steps: float) -> Solver:
@@ -52,6 +55,16 @@ def is_worth_classes(solver: Solver, flow: Flow, lane_steps: float) -> bool:
     return _RATE * solver.stages * flow.chart.dimension * lane_steps > _WORTH_CLASSES
 
 
-def lanes_a_tile(lanes: int) -> int:
-    """Lanes of a tile for a sweep of so many: a lane of one costs what those that fill its tile cost."""
-    return next((tile for most, tile in _TILES if lanes <= most), _LARGEST_TILE)
+def lanes_a_tile(lanes: int, kicks: int = 0) -> int:
+    """Lanes of a tile for a sweep of so many: a lane of one costs what those that fill its tile cost.
+
+    Args:
+        kicks: evaluations of the field a period; where they are many, a few lanes have a tile without padding, for
+            which programs of the calibration are compiled anew.
+    """
+    if lanes < _VECTOR and kicks > _MANY_KICKS:
+        return lanes
+    tile = next((tile for most, tile in _TILES if lanes <= most), _LARGEST_TILE)
+    if tile != _UP_TO:
+        return tile
+    return _VECTOR * -(-lanes // (-(-lanes // tile) * _VECTOR))
