@@ -298,11 +298,11 @@ def test_symmetric_orbits_of_the_driven_pendulum():
             assert traces[lane, here] == pytest.approx(hill(drive, at), rel=1e-6)
 
 
-def from_origin(par, b, angle, instant, duration):
-    """The state (3,) and its derivatives in (x, y, θ, b), (3, 4), so long after the particle leaves x = y = 0; heyoka."""
+def moved_from(par, b, state, instant, duration):
+    """The state (3,) and its derivatives in (x, y, θ, b), (3, 4), so long after another one; by heyoka."""
     ta, at_zero = integrator(par.equations, 1, REAL, float(np.finfo(REAL).eps))
     ta.pars[:], ta.state[:], ta.time = [REAL(b), par.a, par.c, par.d, par.omega], at_zero, REAL(instant)
-    ta.state[:3] = [0.0, 0.0, angle]
+    ta.state[:3] = state
     ta.propagate_until(REAL(instant) + REAL(duration))
     return ta.state[:3].copy(), ta.state[3:].reshape(3, 4).copy()
 
@@ -310,11 +310,11 @@ def from_origin(par, b, angle, instant, duration):
 def symmetric_by_heyoka(par, b, angle, instant, n):
     """The b, the angle and the multipliers of an orbit that leaves x = y = 0 and is there again after half of n periods."""
     for _ in range(8):
-        state, first = from_origin(par, b, angle, instant, n * np.pi)
+        state, first = moved_from(par, b, [0.0, 0.0, angle], instant, n * np.pi)
         step = np.linalg.solve(first[:2, 2:].astype(float), -state[:2].astype(float))
         angle, b = angle + step[0], b + step[1]
     assert np.abs(step).max() < 1e-14
-    return b, angle, np.linalg.eigvals(from_origin(par, b, angle, instant, n * TURN)[1][:, :3].astype(float))
+    return b, angle, np.linalg.eigvals(moved_from(par, b, [0.0, 0.0, angle], instant, n * TURN)[1][:, :3].astype(float))
 
 
 @pytest.mark.slow
@@ -342,6 +342,30 @@ def test_symmetric_orbits_of_the_particle():
         mine = ours["orbit_multipliers"].to_numpy() @ [1.0, 1.0j]
         assert np.sort(np.abs(mine)) == pytest.approx(np.sort(np.abs(values)), rel=1e-4)
         assert np.abs(values - 1.0).min() < 1e-6
+
+
+@pytest.mark.slow
+def test_bars_of_symmetric_orbits_cover():
+    """Of orbits of two, four and six returns at more than twenty values of b: each is that of heyoka within its bar.
+
+    Orbits whose first point is not at the origin are there half a period later, when the forcing is least.
+    """
+    session, par = jaxnh.Session(jaxnh.disturbed_speed(d=0.1), target=1e-7), TaylorParameters(d=0.1)
+    data = session.run(jaxnh.Reversal(transient=1, strobes=64, periods=16, max_period=6), b=np.linspace(0.1, 0.6, 6))
+    exact, covered = list[tuple[int, float]](), list[bool]()
+    for lane, number in np.argwhere(data["orbit_period"].to_numpy() > 0):
+        ours = data.isel(b=lane, orbit=number)
+        n, value = int(ours["orbit_period"]), float(ours["orbit_b"])
+        x, y, u, v = (float(ours[f"{name}_points"]) for name in ("x1", "y1", "x2", "y2"))
+        state, instant = (x, y, np.arctan2(v, u)), np.pi / 2
+        if max(abs(x), abs(y)) > 1e-6:
+            state, instant = moved_from(par, value, state, instant, np.pi)[0], 3 * np.pi / 2
+        b, _, _ = symmetric_by_heyoka(par, value + 1e-9, float(state[2]), instant, n)
+        exact.append((n, round(float(b), 9)))
+        covered.append(abs(b - value) <= float(ours["orbit_b_error"]))
+    assert {n for n, _ in exact} == {2, 4, 6}
+    assert len(set(exact)) >= 20
+    assert np.mean(covered) >= 0.95
 
 
 COUPLED_ROTATORS = """

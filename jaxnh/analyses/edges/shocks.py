@@ -3,6 +3,10 @@
 From each point and in each of many directions the first change of label is bracketed on a row of lengths and bisected.
 The shortest shock is then made shorter by Newton's steps on its length over directions, a parabola through shocks
 about it: at a local minimum the length is stationary, so that its error is of second order in the direction's.
+
+Where a third basin has strips, these accumulate on a boundary geometrically, at the rate of the saddle's multiplier,
+and even rows miss them. So lengths that approach the boundary geometrically are looked at too, and the first strip
+counts.
 """
 
 from __future__ import annotations
@@ -21,6 +25,8 @@ _ANGLES = (0.2, 0.1, 0.05, 0.02, 0.01, 0.005)  # rad: of the parabola's shocks f
 _TRUST = 4.0  # of these angles: the longest step
 _BEYOND = 1.5  # times the best length: how far shocks about it are looked for
 _COVER = 4.0  # times the last gain
+_IN_FRONT = np.geomspace(0.5, 1e-9, 48)  # of the length: distances from the boundary that are looked at in front of it
+_PASSES = 4  # searches for a local minimum, each from the first strip in front of the one before
 
 
 class Shocks(NamedTuple):
@@ -48,6 +54,11 @@ class Shocks(NamedTuple):
     def take(self, which: np.ndarray) -> Shocks:
         """Return some of the shocks."""
         return Shocks(*(leaf[which] for leaf in self))
+
+    def put(self, which: np.ndarray, others: Shocks) -> None:
+        """Replace some of the shocks, in place."""
+        for leaf, new in zip(self, others, strict=True):
+            leaf[which] = new
 
 
 def directions_in(dimension: int, count: int, seed: int) -> Float[np.ndarray, "directions d"]:
@@ -83,11 +94,17 @@ def least_shocks(
     order = np.lexsort((np.nan_to_num(tried.length, nan=np.inf), group))
     of_each = np.bincount(group)
     best = tried.take(order[np.searchsorted(group[order], np.arange(len(of_each)))])
-    crossing = np.isfinite(best.length)
-    if crossing.any():
-        refined = _refine(space, of, lanes, best.take(crossing))
-        for leaf, new in zip(best, refined, strict=True):
-            leaf[crossing] = new
+    left = np.isfinite(best.length)
+    for _ in range(_PASSES):
+        if not left.any():
+            break
+        refined = _refine(space, of, lanes, best.take(left))
+        nearer = _in_front(space, of, lanes, refined)
+        strips = np.isfinite(nearer.length)
+        best.put(left, refined)
+        left[left] = strips
+        best.put(left, nearer.take(strips))
+    best.error[left] = np.inf  # a strip in front of each strip
     return best, of_each
 
 
@@ -144,6 +161,29 @@ def _refine(space: Space, of: Destinations, lanes: LaneRunner, best: Shocks) -> 
     fine = _along(space, of.refined(2), lanes, best, _directions(space, best)[:, None])
     off = np.nan_to_num(np.abs(fine.length - best.length), nan=np.inf)
     return best._replace(error=WIDTH + _COVER * gain + off)
+
+
+def _in_front(space: Space, of: Destinations, lanes: LaneRunner, best: Shocks) -> Shocks:
+    """Return shocks to the first strip of another basin in front of each boundary; not numbers where there is none.
+
+    The error of the shocks that are given becomes at least the distance from what is not decided in front of them.
+    """
+    count, d = best.base.shape
+    length, way = best.length[:, None] * (1.0 - _IN_FRONT), best.displacement / best.length[:, None]
+    points = (best.base[:, None] + length[:, :, None] * way[:, None]).reshape(-1, d)
+    labels = label_points(space, of, lanes, points, np.repeat(best.lane, len(_IN_FRONT)))[1].reshape(count, -1)
+    other, row = labels != best.attractor[:, None], np.arange(count)
+    undecided = other & (labels == UNDECIDED)  # as basins of attractors that no start has led to
+    gap = np.where(undecided.any(axis=1), best.length - length[row, np.argmax(undecided, axis=1)], 0.0)
+    best.error[:] = np.maximum(best.error, gap)
+    other &= ~undecided
+    reach = np.where(other.any(axis=1), length[row, np.argmax(other, axis=1)], np.nan)
+    known = np.flatnonzero(np.isfinite(reach))
+    nearer = Shocks(*map(np.array, best))._replace(length=np.full(count, np.nan))
+    if len(known):
+        directions = _directions(space, best)[known]
+        nearer.put(known, _shocks(space, of, lanes, best.take(known), directions, reach[known]))
+    return nearer
 
 
 def _shortest(*parts: Shocks) -> Shocks:

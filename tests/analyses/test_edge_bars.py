@@ -1,0 +1,162 @@
+"""Error bars of edges of a flow: two wells with a tilt, driven, at random parameters, against scipy's DOP853.
+
+The cycle between the wells is by Newton on the strobe map with variational equations, and the least shock by bisection of
+lengths in directions about ours, of which a polynomial has the minimum.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import jaxnh
+
+UNIT = np.array([1.5, 3.0])
+"""Halves of the box."""
+
+BOX = {"x": (-1.5, 1.5), "v": (-3.0, 3.0)}
+
+PERIODS = 40
+"""After which a motion is on its attractor: at friction 0.16 it has come 600 times nearer e times."""
+
+TURNS = 1e-3 * np.arange(-2, 3)
+"""Radians: directions of the reference from ours; the fifth power of them is rounding."""
+
+FRONT = np.geomspace(0.5, 1e-9, 40)
+"""Shares of the length: what is looked at in front of a boundary."""
+
+
+def tilted(force=0.05, friction=0.2, tilt=0.0):
+    def rhs(y, t):
+        x, v = y
+        return v, x - x**3 + tilt - friction * v + force * jnp.cos(t)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi}
+
+
+class Strobes:
+    """The strobe map of many set-ups at once, (n,), by DOP853."""
+
+    def __init__(self, force, friction, tilt):
+        self.force, self.friction, self.tilt = force, friction, tilt
+
+    def _rates(self, t, y):
+        n = len(self.force)
+        x, v = y[: 2 * n].reshape(2, n)
+        parts = [v, x - x**3 + self.tilt - self.friction * v + self.force * np.cos(t)]
+        if len(y) > 2 * n:
+            a = y[2 * n :].reshape(2, 2, n)
+            parts += [a[1].ravel(), ((1.0 - 3.0 * x * x) * a[0] - self.friction * a[1]).ravel()]
+        return np.concatenate(parts)
+
+    def _after(self, y, periods):
+        return solve_ivp(self._rates, (0.0, 2 * np.pi * periods), y, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+
+    def after(self, u, periods):
+        """Points (n, 2) so many periods later."""
+        return self._after(u.T.ravel(), periods).reshape(2, -1).T
+
+    def closed(self, u):
+        """The cycles near points (n, 2), and their matrices, (n, 2, 2)."""
+        n = len(u)
+        for _ in range(6):
+            y = self._after(np.concatenate([u.T.ravel(), np.repeat(np.eye(2).ravel(), n)]), 1)
+            matrix = np.moveaxis(y[2 * n :].reshape(2, 2, n), 2, 0)
+            step = np.linalg.solve(matrix - np.eye(2), (u - y[: 2 * n].reshape(2, n).T)[..., None])[..., 0]
+            u = u + step
+        assert np.abs(step).max() < 1e-12
+        return u, matrix
+
+
+def covered_edges(data):
+    """Whether each number of the cycles between wells is within its bar, (numbers, lanes)."""
+    one = data.isel(pair=0)
+    rows = (one["kind"].to_numpy() == 1) & (one["period"].to_numpy() == 1)
+    assert rows.mean() >= 0.7
+    names = ("x_edge", "v_edge", "multiplier", "second_multiplier")
+    ours, bars = (np.array([one[f"{name}{end}"].to_numpy()[rows] for name in names]) for end in ("", "_error"))
+    cycles, matrix = Strobes(*(data[key].to_numpy()[rows] for key in ("force", "friction", "tilt"))).closed(ours[:2].T)
+    moduli = np.sort(np.abs(np.linalg.eigvals(matrix)), axis=1)
+    exact = np.array([*cycles.T, moduli[:, 1], moduli[:, 0]])
+    # The reference is known to some 1e-12 of the larger multiplier, as its steps are to 1e-13.
+    rounding = (
+        np.array([1e-12, 1e-12, 0.0, 0.0])[:, None] + 1e-12 * moduli[:, 1] * np.array([0.0, 0.0, 1.0, 1.0])[:, None]
+    )
+    return np.abs(ours - exact) <= bars + rounding
+
+
+def least_shocks(strobes, base, angle, length):
+    """The least lengths that leave the basins of cycles at points (n, 2), about shocks in these directions, (n,).
+
+    Where something else lies in front of the boundary the first length at which it was met.
+    """
+    count = len(base)
+
+    def leaves(lengths, turn):
+        """Whether displacements (n, k) do, in turned directions (k,) or (n, k)."""
+        way = angle[:, None] + turn + np.zeros(lengths.shape)
+        k = lengths.shape[1]
+        point = np.repeat(base, k, axis=0)
+        moved = point + lengths.ravel()[:, None] * np.stack([np.cos(way), np.sin(way)], axis=2).reshape(-1, 2) * UNIT
+        many = Strobes(*(np.repeat(leaf, k) for leaf in (strobes.force, strobes.friction, strobes.tilt)))
+        return (np.abs(many.after(moved, PERIODS) - point).max(axis=1) > 0.05).reshape(count, k)
+
+    low, high = (np.repeat(length[:, None] + shift, len(TURNS), axis=1) for shift in (-1e-4, 1e-4))
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        out = leaves(middle, TURNS)
+        low, high = np.where(out, low, middle), np.where(out, middle, high)
+    exact = np.empty(count)
+    for i, row in enumerate(high):
+        fitted = np.polynomial.Polynomial.fit(TURNS, row, 4)
+        flat = [z.real for z in fitted.deriv().roots() if abs(z.imag) < 1e-12 and abs(z.real) < 2 * TURNS[-1]]
+        exact[i] = min(map(fitted, flat), default=np.nan)
+    front = length[:, None] * (1.0 - FRONT)
+    earlier = leaves(front, np.zeros(1))
+    return np.where(earlier.any(axis=1), front[np.arange(count), np.argmax(earlier, axis=1)], exact)
+
+
+def covered_shocks(data):
+    """Whether each least shock of cycles of one period is within its bar."""
+    data = data.stack(row=("lane", "attractor"))
+    cycle = (data["attractor_kind"].to_numpy() == 0) & (data["attractor_period"].to_numpy() == 1)
+    data = data.isel(row=np.flatnonzero(cycle & np.isfinite(data["shock"].to_numpy())))
+    strobes = Strobes(*(data[key].to_numpy() for key in ("force", "friction", "tilt")))
+    base, _ = strobes.closed(np.stack([data["x_attractor"].to_numpy(), data["v_attractor"].to_numpy()], axis=1))
+    way = np.stack([data["x_shock"].to_numpy(), data["v_shock"].to_numpy()], axis=1) / UNIT
+    length, bar = data["shock"].to_numpy(), data["shock_error"].to_numpy()
+    exact = least_shocks(strobes, base, np.arctan2(way[:, 1], way[:, 0]), length)
+    return np.abs(length - exact) <= bar
+
+
+def run(options, **axes):
+    session = jaxnh.Session(tilted, start={"x": 0.3, "v": 0.0}, target=1e-6)
+    data = session.run(jaxnh.Edges(box=BOX, pairs=1, **options), **axes)
+    return data.stack(lane=("force", "friction", "tilt")).reset_index("lane").transpose("lane", ...)
+
+
+def test_the_bars_of_one_flow():
+    data = run({"n_starts": 8, "directions": 4}, force=[0.05], friction=[0.3], tilt=[0.05])
+    assert covered_edges(data).all()
+    assert covered_shocks(data).all()
+
+
+@pytest.mark.slow
+def test_bars_of_flows_cover():
+    """Of twelve set-ups and one with three attractors, the basin of one of which has strips in front of another's."""
+    draw = np.random.default_rng(7)
+    axes = {
+        "force": draw.uniform(0.02, 0.1, 3),
+        "friction": draw.uniform(0.16, 0.4, 2),
+        "tilt": draw.uniform(-0.1, 0.1, 2),
+    }
+    options = {"n_starts": 16, "directions": 8}
+    parts = [run(options, **axes), run({**options, "n_starts": 48}, force=[0.1005], friction=[0.16348], tilt=[0.03047])]
+    edges = np.concatenate([covered_edges(data) for data in parts], axis=1)
+    assert edges.mean() >= 0.95
+    assert parts[1]["attractors"].to_numpy()[0] == 3
+    shocks = np.concatenate([covered_shocks(data) for data in parts])
+    assert len(shocks) >= 20
+    assert shocks.mean() >= 0.95
