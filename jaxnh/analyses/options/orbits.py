@@ -24,6 +24,12 @@ class PeriodOptions(SensitivityOptions):
 
     max_period: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
     transient: int = Field(default=512, ge=0, description="Periods before the last look at the strobe points")
+    phase_response: int | None = Field(
+        default=None,
+        ge=2,
+        le=4096,
+        description="Phases at which the phase response of limit cycles is given; by default it is not",
+    )
 
 
 class DoublingOptions(SensitivityOptions):

@@ -157,7 +157,8 @@ def rates_on(problem: Problem, solution: BoundarySolution) -> FieldValues:
     at = problem.field(path.stages.reshape(-1, d), times.reshape(-1), np.repeat(solution.values, each, axis=0))
     scale = solution.duration[:, None, None, None]
     jacobian = np.asarray(at.jacobian).reshape(lanes, n, m, d, d) * (size / size[:, None])
-    by_parameters = np.asarray(at.by_parameters).reshape(lanes, n, m, d, -1) * (problem.widths / size[:, None])
+    by_parameters = np.asarray(at.by_parameters).reshape(lanes, n, m, d, len(problem.widths))
+    by_parameters = by_parameters * (problem.widths / size[:, None])
     rate = np.asarray(at.rate).reshape(lanes, n, m, d) / size
     return FieldValues(scale * rate, scale[..., None] * jacobian, scale[..., None] * by_parameters)
 
