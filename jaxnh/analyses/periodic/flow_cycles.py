@@ -14,7 +14,7 @@ from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.build import make_parts, make_return_map
 from jaxnh.maps.section import Section
 from jaxnh.orbits.collocation.equations import FieldValues, Problem
-from jaxnh.orbits.collocation.fields import point_rates
+from jaxnh.orbits.collocation.fields import point_rates, timed_rates
 from jaxnh.orbits.collocation.paths import PiecewisePath, path_through, values_at
 from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.flow import Flow
@@ -45,16 +45,32 @@ def no_collocation(flow: Flow) -> str:
 
 
 def flow_problem(
-    batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], names: tuple[str, ...], widths: np.ndarray
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    size: Float[np.ndarray, " d"],
+    names: tuple[str, ...],
+    widths: np.ndarray,
+    timed: bool = False,
 ) -> Problem:
-    """The flow of a batch over parameters that lanes may have of their own, for collocation."""
+    """The flow of a batch over parameters that lanes may have of their own, for collocation.
+
+    Args:
+        batch: lanes of one system.
+        lanes: runs lanes.
+        size: of the motion in each coordinate.
+        names: of the parameters.
+        widths: of their ranges.
+        timed: whether the time when paths begin is a parameter before these.
+    """
+    rates = timed_rates if timed else point_rates
 
     def field(
         y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points q"]
     ) -> FieldValues:
-        p = {key: np.full(len(y), leaf[0]) for key, leaf in batch.p.items()} | dict(zip(names, values.T, strict=True))
-        tile = _POINTS if len(y) > _FEW else _FEW
-        return FieldValues(*map(np.asarray, lanes(point_rates, (batch.flow,), (y, t, p), tile=tile, static=(names,))))
+        own = values.T[int(timed) :]
+        p = {key: np.full(len(y), leaf[0]) for key, leaf in batch.p.items()} | dict(zip(names, own, strict=True))
+        t, tile = t + values[:, 0] if timed else t, _POINTS if len(y) > _FEW else _FEW
+        return FieldValues(*map(np.asarray, lanes(rates, (batch.flow,), (y, t, p), tile=tile, static=(names,))))
 
     return Problem(field, size, widths, not batch.flow.autonomous)
 

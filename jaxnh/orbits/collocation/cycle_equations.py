@@ -241,7 +241,7 @@ class CollocationEquations(EquationsOfPaths):
             closed = self._closes(before, after, core.norm(self.unit, taken.z - now.z))
         endings = {COLLAPSED: collapsed, CLOSED: closed, UNBOUNDED: far}
         beyond = {} if self._conditions is None else self._conditions.endings(after)
-        return endings | beyond, np.any([collapsed, *beyond.values()], axis=0)
+        return {**endings, **beyond}, np.any([collapsed, *beyond.values()], axis=0)
 
     def _linear(self, solution: BoundarySolution) -> NewtonSystem:
         lanes = len(solution.duration)
