@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import jaxnh
 from jaxnh.exceptions import ConfigError
+from tests.helpers import contract
 from tests.helpers.kept_programs import session_of
 
 SHEAR, TURN = 0.7, 2.0
@@ -55,7 +56,9 @@ def responses(folder, text, sweep, section="{coordinate: y, value: 0.0, directio
         f"phase_response: {phases}{more}}}}}\n"
     )
     (folder / "flow.yaml").write_text(config)
-    return session_of(jaxnh.load(folder / "flow.yaml")).tree()["period"].to_dataset()
+    data = session_of(jaxnh.load(folder / "flow.yaml")).tree()["period"].to_dataset()
+    contract.check("period", data, ("x", "y", "v", "mu", "rate", "t"))
+    return data
 
 
 def holds(data, name, exact):

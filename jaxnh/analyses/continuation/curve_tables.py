@@ -79,9 +79,10 @@ def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, l
         **_kind_and_curve("codimension_two_", special),
     }
     if conditional:
-        durations = table([curve.durations if isinstance(curve, ConditionCurve) else np.zeros(0) for curve in curves])
         said = [curve.condition.words if isinstance(curve, ConditionCurve) else "" for curve in curves]
         filled["condition"] = variable("curve", np.array(said), "condition that cycles keep; of bifurcations none")
+    if conditional and batch.flow.autonomous:
+        durations = table([curve.durations if isinstance(curve, ConditionCurve) else np.zeros(0) for curve in curves])
         units = batch.flow.labels.units["t"]
         filled["duration"] = variable(dims, durations, "time that cycles take that keep a condition", units)
     names = " ".join(axis.name for axis in axes)

@@ -15,12 +15,11 @@ from jaxtyping import Bool, Float
 from jaxnh.orbits.collocation.cycle_equations import CollocationEquations, CycleConditions, CyclePoint, Ends
 from jaxnh.orbits.collocation.cycles import cycle_multipliers
 from jaxnh.orbits.collocation.equations import BoundarySolution, PointCondition, Problem
-from jaxnh.orbits.collocation.paths import adapted_mesh, halved, on_mesh, rotated, values_at
+from jaxnh.orbits.collocation.paths import adapted_mesh, halved, on_mesh, rotated
 from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.paths import BEYOND
 
-_SAMPLES = 512  # of a cycle, among which its extremum is looked for
 _BEYOND = 1e-4  # of a function's range along a cycle, that the polynomials of intervals are known to
 
 
@@ -111,11 +110,7 @@ class ExtremumCondition:
 
     def endings(self, solution: BoundarySolution) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
         """Cycles that go beyond the level elsewhere, or beyond what guards them."""
-        path = solution.path
-        lanes, count, m, d = path.stages.shape
-        states = np.concatenate([path.stages.reshape(lanes, count * m, d), path.ends[:, 1:]], axis=1)
-        shares = np.concatenate([path.places.reshape(lanes, count * m), path.mesh[:, 1:]], axis=1)
-        beyond = np.zeros(lanes, bool)
+        (states, shares), beyond = _sampled(solution), np.zeros(len(solution.duration), bool)
         with np.errstate(invalid="ignore"):
             for height, level, sign in self._watched:
                 values = sign * (self._values(height, solution, states, shares) - level)
@@ -134,7 +129,7 @@ class ExtremumCondition:
         """The cycle, one lane, from its extremum on."""
         states, shares = _sampled(solution)
         values = self._sign * self._values(self._height, solution, states, shares)[0]
-        share = float(shares[0, np.argmax(values)])
+        share = float(shares[0, np.argmax(values)]) % 1.0
         mesh = np.unique(np.concatenate([[0.0, 1.0], (solution.path.mesh[0] - share) % 1.0]))
         parameters = solution.values.copy()
         if self._problem.clock:
@@ -193,8 +188,9 @@ def first_point(
             return None
         [point] = equations.points(begun)
         guess = point.solution
-    both = guess.values[0, -2:]
-    return point if np.all((both >= ends[0]) & (both <= ends[1])) else None
+    both, beyond = guess.values[0, -2:], conditions.endings(guess)
+    outside = np.any((both < ends[0]) | (both > ends[1])) or any(each.any() for each in beyond.values())
+    return None if outside else point
 
 
 def refined_points(
@@ -228,7 +224,9 @@ def _refined(
     return values, np.abs(values - both) + np.spacing(np.abs(values)) + rounding, solution.duration[0], multipliers[0]
 
 
-def _sampled(solution: BoundarySolution) -> tuple[Float[np.ndarray, "1 k d"], Float[np.ndarray, "1 k"]]:
-    """States of a cycle, one lane, at even times, and their shares of the duration."""
-    shares = np.arange(_SAMPLES)[None] / _SAMPLES
-    return values_at(solution.path, shares), shares
+def _sampled(solution: BoundarySolution) -> tuple[Float[np.ndarray, "lanes k d"], Float[np.ndarray, "lanes k"]]:
+    """States of cycles at the Gauss points and the ends of intervals, and their shares of the duration."""
+    path = solution.path
+    lanes, count, m, d = path.stages.shape
+    states = np.concatenate([path.stages.reshape(lanes, count * m, d), path.ends[:, 1:]], axis=1)
+    return states, np.concatenate([path.places.reshape(lanes, count * m), path.mesh[:, 1:]], axis=1)
