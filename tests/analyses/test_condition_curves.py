@@ -108,7 +108,7 @@ def test_amplitudes_of_hopfs_normal_form(tmp_path):
 def test_backbone_of_duffings_oscillator(tmp_path):
     """Cycles at the energy E of x″ + x + αx³ = 0, which a pump there leaves as they are, take 4K(m)/√(1 + αA²).
 
-    A is the amplitude, m = αA²/(2 + 2αA²) (Kovacic and Brennan, The Duffing Equation, 2011, 2.2).
+    A is the amplitude, m = αA²/(2 + 2αA²) (Kovacic and Brennan, The Duffing Equation, 2011).
     """
     sweep = "energy: {start: 0.2, stop: 2.0, count: 3}, alpha: {start: 0.2, stop: 2.0, count: 3}"
     section = UP.replace("coordinate: y", "coordinate: x")

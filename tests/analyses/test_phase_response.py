@@ -106,6 +106,7 @@ def passage(mu, start, count):
     return times[times > 0.5][count - 1]
 
 
+@pytest.mark.slow
 def test_kicks_of_van_der_pol(tmp_path):
     """The time that a small kick along x or v gains at a late passage, of kicks to either side: its error is their square.
 

@@ -23,7 +23,7 @@ from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.families import step_control
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.options.orbits import CurvesOptions
-from jaxnh.analyses.periodic.flow_cycles import flow_problem, no_collocation, path_size
+from jaxnh.analyses.periodic.flow_cycles import cycle_size, flow_problem, no_collocation
 from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.collocation.conditions import (
     DurationCondition,
@@ -61,8 +61,12 @@ class CycleCondition(NamedTuple):
     def words(self) -> str:
         """The condition in words."""
         if self.kind == GRAZING:
-            return f"grazing of {self.name}"
+            return f"grazing of {self.name or 'any wall or surface'}"
         return f"{CONDITIONS[self.kind]}{self.name and f' of {self.name}'} = {self.value:g}"
+
+    def asks_for(self, curve: ConditionCurve) -> bool:
+        """Return whether a curve is of this condition, or of grazing the one of any surface."""
+        return curve.condition == self or curve.condition._replace(name="") == self
 
 
 class ConditionCurve(NamedTuple):
@@ -119,6 +123,7 @@ def condition_curves(
     batches: Sequence[LaneBatch],
     lanes: LaneRunner,
     waves: Sequence[Sequence[Sequence[SeedOrbit]]],
+    unit: Float[np.ndarray, " d"],
     names: tuple[str, str],
     ends: tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]],
 ) -> list[ConditionCurve]:
@@ -129,6 +134,7 @@ def condition_curves(
         batches: lanes along the first axis, at values of the second.
         lanes: runs lanes.
         waves: orbits of each batch to begin with.
+        unit: size of motions in each section coordinate.
         names: of both parameters.
         ends: of their ranges.
     """
@@ -146,9 +152,10 @@ def condition_curves(
             return lanes.stage(f"curves: {label} at {names[1]} = {second:g}", 0)
 
         many = steps._replace(max_steps=STEPS.max_steps)
-        followed, _ = grow_cycles(row, lanes, seeds, options.max_period, reach, many, stage)
+        followed, _ = grow_cycles(row, lanes, seeds, unit, options.max_period, reach, many, stage)
         for known in followed:
-            plane = plane or _CyclePlane(rows[0], lanes, names, ends, known.branch.points[0].solution, sides)
+            size = cycle_size(row.system, known.branch.points[0].solution.path, unit)
+            plane = plane or _CyclePlane(rows[0], lanes, names, ends, size, sides)
             for condition, equations in plane.conditions(conditions_of(options)):
                 with stage(f"cycles with {condition.words}"):
                     curves += plane.new_curves(curves, known, second, condition, equations, steps)
@@ -186,7 +193,7 @@ class _CyclePlane:
         lanes: runs lanes.
         names: of both parameters.
         ends: of their ranges.
-        cycle: that sizes are taken from.
+        size: of cycles in each coordinate.
         sides: of walls and surfaces, on which the flow is.
     """
 
@@ -196,13 +203,13 @@ class _CyclePlane:
         lanes: LaneRunner,
         names: tuple[str, str],
         ends: tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]],
-        cycle: BoundarySolution,
+        size: Float[np.ndarray, " d"],
         sides: tuple[float, ...],
     ) -> None:
         self._batch, self._lanes, self._names, self._ends, self._sides = batch, lanes, names, ends, sides
         widths, self._clock = ends[1] - ends[0], not batch.flow.autonomous
         widths = np.concatenate([[batch.flow.period / (2 * np.pi)] if self._clock else [], widths])
-        self._problem = flow_problem(batch, lanes, path_size(cycle.path), names, widths, timed=self._clock)
+        self._problem = flow_problem(batch, lanes, size, names, widths, timed=self._clock)
 
     def conditions(self, asked: Sequence[CycleCondition]) -> list[tuple[CycleCondition, _Condition]]:
         """Conditions with their equations, of grazing one for each wall and surface."""

@@ -114,14 +114,16 @@ def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr
         still = equilibrium_curves(batches, lanes, options, names, low, high)
         followed = _of_equilibria(still)
     attractors = _attractors(options, batches, lanes)
+    waves, sizes = [each.waves for each in attractors], [each.sizes for each in attractors if len(each.sizes)]
+    size = np.median(np.concatenate(sizes), axis=0) if sizes else np.ones(row.chart.dimension)
     if options.max_period and options.bifurcations is None:
-        followed = _joined(followed, _of_orbits(options, batches, lanes, attractors, names, low, high, still))
+        orbits = _of_orbits(options, batches, lanes, waves, size, names, low, high, still)
+        followed = _joined(followed, orbits)
     lines = [] if followed.curves or options.bifurcations is False else [_NOTHING.format("bifurcation", *names)]
     if options.conditional:
-        curves = condition_curves(options, batches, lanes, [one.waves for one in attractors], names, (low, high))
+        curves = condition_curves(options, batches, lanes, waves, size, names, (low, high))
         followed = _joined(followed, CurveSet(list(curves), [curve.errors for curve in curves], []))
-        kept = {curve.condition.kind for curve in curves}
-        missed = [each for each in conditions_of(options) if each.kind not in kept]
+        missed = [each for each in conditions_of(options) if not any(each.asks_for(curve) for curve in curves)]
         lines += [_NOTHING.format(f"cycle with {each.words}", *names) for each in missed]
     parts = batches[0], sweep.axes, followed
     data = curves_dataset(*parts, options.max_period)
@@ -163,24 +165,23 @@ def _of_orbits(
     options: CurvesOptions,
     batches: Sequence[LaneBatch],
     lanes: LaneRunner,
-    attractors: Sequence[_Attractors],
+    waves: Sequence[Sequence[Sequence[SeedOrbit]]],
+    size: Float[np.ndarray, " d"],
     names: tuple[str, str],
     low: Float[np.ndarray, " 2"],
     high: Float[np.ndarray, " 2"],
     still: EquilibriumCurves | None,
 ) -> CurveSet:
     """Curves of bifurcations of periodic orbits, those among them that leave points of equilibria."""
-    sizes = np.concatenate([each.sizes for each in attractors])
-    size = np.median(sizes, axis=0) if len(sizes) else np.ones(batches[0].system.chart.dimension)
     plane, *others = (
         parameter_plane(batches[0], lanes, strobe, size, names, low, high) for strobe in refined_maps(batches[0])
     )
     curves, steps = list[Curve](), step_control(options)._replace(max_steps=STEPS.max_steps)
-    for batch, (waves, _) in zip(batches, attractors, strict=True):
+    for batch, seeds_of_batch in zip(batches, waves, strict=True):
         second, value = names[1], float(batch.p[names[1]][0])
         families = [orbit_family(batch, lanes, strobe, size, (low[0], high[0])) for strobe in refined_maps(batch)]
         with lanes.stage(f"curves: bifurcations at {second} = {value:g}", 0):
-            tree = grow(families, waves, options.max_period, steps)
+            tree = grow(families, seeds_of_batch, options.max_period, steps)
         seeds = [
             _Seed(point.kind, point.points, np.array([point.value, value]))
             for point in tree.bifurcations

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.cycle_points import FollowedCycles, cycle_points
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
-from jaxnh.analyses.periodic.flow_cycles import cycle_guess, flow_problem, path_lift, path_size
+from jaxnh.analyses.periodic.flow_cycles import cycle_guess, cycle_size, flow_problem, path_lift
 from jaxnh.maps.section import Section
 from jaxnh.orbits.collocation.bifurcations import CycleBifurcation, bifurcations, doubled_cycle
 from jaxnh.orbits.collocation.cycle_equations import (
@@ -43,6 +43,7 @@ def grow_cycles(
     batch: LaneBatch,
     lanes: LaneRunner,
     waves: Sequence[Sequence[SeedOrbit]],
+    unit: Float[np.ndarray, " d"],
     limit: int,
     ends: tuple[float, float],
     steps: StepControl,
@@ -54,6 +55,7 @@ def grow_cycles(
         batch: lanes along the first axis.
         lanes: runs lanes.
         waves: orbits to begin with, at points of the section or at strobes.
+        unit: size of motions in each section coordinate.
         limit: largest period, in returns.
         ends: of the range of the parameter, the lower one first.
         steps: how branches are followed.
@@ -70,7 +72,9 @@ def grow_cycles(
         guess, returns = BoundarySolution(path[0], np.array([path[1]]), np.array([[seed.value]])), len(seed.points)
         if problem is None:
             widths = np.array([ends[1] - ends[0]])
-            problem = flow_problem(batch, lanes, path_size(guess.path), (batch.first_axis.name,), widths)
+            problem = flow_problem(
+                batch, lanes, cycle_size(batch.system, guess.path, unit), (batch.first_axis.name,), widths
+            )
         with stage(f"cycles of {returns} returns by collocation"):
             lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch)
     return followed, lost

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.build import make_parts, make_return_map
-from jaxnh.maps.section import Section
+from jaxnh.maps.section import Section, System
 from jaxnh.orbits.collocation.equations import FieldValues, Problem
 from jaxnh.orbits.collocation.fields import point_rates, timed_rates
 from jaxnh.orbits.collocation.paths import PiecewisePath, path_through, values_at
@@ -24,6 +24,7 @@ from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
 _SAMPLES = 64  # of a return
 _INTERVALS = 20  # of the mesh, a return
+_STILL = 1e-5  # of the size of motions: Newton leaves orbits changes below, of coordinates that stay where they are
 _CORNER = 0.1  # of the size: states further apart have others between them
 _FINER = 16  # parts of what is between them
 _LEVELS = 4
@@ -91,9 +92,17 @@ def cycle_guess(
     return None
 
 
-def path_size(path: PiecewisePath) -> Float[np.ndarray, " d"]:
-    """Half the extent of a path of one lane in each coordinate."""
-    size = 0.5 * np.ptp(path.ends[0], axis=0)
+def cycle_size(system: System, path: PiecewisePath, unit: Float[np.ndarray, " e"]) -> Float[np.ndarray, " d"]:
+    """Half the extent of a path of one lane in each coordinate; of one that stays where it is the size of motions.
+
+    Args:
+        system: of the path.
+        path: of a cycle.
+        unit: size of motions in each section coordinate.
+    """
+    whole = np.insert(unit, system.number, 0.0) if isinstance(system, Section) else unit
+    extent = 0.5 * np.ptp(path.ends[0], axis=0)
+    size = np.where(extent > _STILL * whole, extent, whole)
     return np.where(size > 0.0, size, size.max() or 1.0)
 
 

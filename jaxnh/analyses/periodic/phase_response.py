@@ -15,11 +15,11 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.periodic.attractor_survey import Survey
 from jaxnh.analyses.periodic.flow_cycles import (
     cycle_guess,
+    cycle_size,
     flow_problem,
     no_collocation,
     passages,
     path_lift,
-    path_size,
 )
 from jaxnh.maps.section import Section
 from jaxnh.orbits.collocation.adjoint import phase_response
@@ -94,7 +94,7 @@ def _phase_responses(batch: LaneBatch, lanes: LaneRunner, attractors: Survey, co
     known = PhaseResponses(*tables, *np.full((2, batch.count), np.nan))
     for k in np.flatnonzero(attractors.period).tolist():
         points = np.repeat(attractors.u[k : k + 1], attractors.period[k], axis=0)
-        response = _of_lane(_single_lane(batch, k), lanes, points, count)
+        response = _of_lane(_single_lane(batch, k), lanes, points, attractors.size[k], count)
         if response is not None:
             for table, row in zip(known, response, strict=True):
                 table[k] = row
@@ -110,7 +110,7 @@ def _single_lane(batch: LaneBatch, k: int) -> LaneBatch:
 
 
 def _of_lane(
-    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "n d"], count: int
+    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "n d"], size: Float[np.ndarray, " d"], count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float, float] | None:
     """Entries of `PhaseResponses` of a batch of one lane with this orbit; None where Newton does not confirm it."""
     guess, section = cycle_guess(batch, lanes, points), batch.system
@@ -118,7 +118,7 @@ def _of_lane(
     if guess is None:
         return None
     path, duration = guess
-    problem = flow_problem(batch, lanes, path_size(path), (), np.zeros(0))
+    problem = flow_problem(batch, lanes, cycle_size(section, path, size), (), np.zeros(0))
     lift = path_lift(batch.flow, path)[None]
     [cycle] = solve_cycles(problem, BoundarySolution(path, np.array([duration]), np.zeros((1, 0))), _TARGET, lift)
     coarse = _from_section(problem, cycle.solution, lift, section, count) if cycle.converged[0] else None
