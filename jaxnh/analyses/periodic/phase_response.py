@@ -30,6 +30,7 @@ from jaxnh.orbits.collocation.paths import halved, on_mesh, rotated
 
 _TARGET = 1e-9  # error of cycles, in sizes, that their meshes are chosen by
 _APART = 1e-3  # of a mean interval: ends of intervals nearer to a phase than this are left out
+_LEAST = 0.1  # of the size of motions: a coordinate that stays at zero has errors of the map alone
 _TURNS = 2  # times that a path is begun anew at the section: the second time it is there to rounding
 _EPS = np.finfo(float).eps
 
@@ -118,7 +119,8 @@ def _of_lane(
     if guess is None:
         return None
     path, duration = guess
-    problem = flow_problem(batch, lanes, cycle_size(section, path, size), (), np.zeros(0))
+    sizes = np.maximum(cycle_size(section, path, size), _LEAST * np.insert(size, section.number, 0.0))
+    problem = flow_problem(batch, lanes, sizes, (), np.zeros(0))
     lift = path_lift(batch.flow, path)[None]
     [cycle] = solve_cycles(problem, BoundarySolution(path, np.array([duration]), np.zeros((1, 0))), _TARGET, lift)
     coarse = _from_section(problem, cycle.solution, lift, section, count) if cycle.converged[0] else None
