@@ -36,7 +36,8 @@ def phase_responses(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) 
         if (error := here.get(f"{curve.name}_error")) is not None:
             ax.fill_between(phase, y - error, y + error, color=colour, alpha=0.4, linewidth=0)
     ax.set_xticks(0.5 * np.pi * np.arange(5), _QUARTERS)
-    ax.set(xlabel=axis_label(data["phase"]), ylabel="derivative of the phase", xlim=(0.0, 2 * np.pi))
+    label = "derivative of the phase (rad a unit)"
+    ax.set(xlabel=axis_label(data["phase"]), ylabel=label, xlim=(0.0, 2 * np.pi))
     ax.set_title(title_of(here, axes_of(data)), loc="left")
     ax.legend(loc="best")
     return ax

@@ -130,6 +130,7 @@ def test_a_lane_without_a_cycle_has_no_response(tmp_path):
     data = responses(tmp_path, STUART_LANDAU, "mu: {values: [-0.2, 0.5]}", phases=4)
     assert np.isnan(data["x_response"].values[0]).all()
     assert np.isfinite(data["x_response"].values[1]).all()
+    assert data.attrs["warnings"].startswith("period: 1 lanes have no phase response")
     jaxnh.figure(data)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Int
@@ -50,9 +52,12 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     }
     if options.sensitivities:
         variables |= _sensitivities(batch, lanes, attractors)
+    attrs: dict[str, Any] = {"max_period": options.max_period, "transient": options.transient}
     if options.phase_response:
         variables |= phase_response_variables(batch, lanes, attractors, options.phase_response)
-    return xr.Dataset(variables, attrs={"max_period": options.max_period, "transient": options.transient})
+        if missed := np.count_nonzero((attractors.period > 0) & np.isnan(variables["time"][1])):
+            attrs["warnings"] = f"period: {missed} lanes have no phase response: at rest, or no cycle by collocation"
+    return xr.Dataset(variables, attrs=attrs)
 
 
 def _sensitivities(batch: LaneBatch, lanes: LaneRunner, attractors: Survey) -> dict[str, Entry]:

@@ -31,6 +31,7 @@ from jaxnh.orbits.collocation.paths import halved, on_mesh, rotated
 _TARGET = 1e-9  # error of cycles, in sizes, that their meshes are chosen by
 _APART = 1e-3  # of a mean interval: ends of intervals nearer to a phase than this are left out
 _LEAST = 0.1  # of the size of motions: a coordinate that stays at zero has errors of the map alone
+_STILL = 1e-3  # likewise: what is nowhere further from where it began is an equilibrium
 _TURNS = 2  # times that a path is begun anew at the section: the second time it is there to rounding
 _EPS = np.finfo(float).eps
 
@@ -113,13 +114,15 @@ def _single_lane(batch: LaneBatch, k: int) -> LaneBatch:
 def _of_lane(
     batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "n d"], size: Float[np.ndarray, " d"], count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float, float] | None:
-    """Entries of `PhaseResponses` of a batch of one lane with this orbit; None where Newton does not confirm it."""
+    """Entries of `PhaseResponses` of a batch of one lane with this orbit; None where Newton confirms no cycle."""
     guess, section = cycle_guess(batch, lanes, points), batch.system
     assert isinstance(section, Section)
     if guess is None:
         return None
     path, duration = guess
     sizes = np.maximum(cycle_size(section, path, size), _LEAST * np.insert(size, section.number, 0.0))
+    if np.all(np.delete(np.ptp(path.ends[0], axis=0) / sizes, section.number) < _STILL):
+        return None
     problem = flow_problem(batch, lanes, sizes, (), np.zeros(0))
     lift = path_lift(batch.flow, path)[None]
     [cycle] = solve_cycles(problem, BoundarySolution(path, np.array([duration]), np.zeros((1, 0))), _TARGET, lift)
@@ -133,6 +136,8 @@ def _of_lane(
         closure(problem, lift),
         hold_parameters,
     )
+    if not fine.converged[0]:
+        return None
     first, second = (phase_response(problem, each.solution, lift) for each in (coarse, fine))
     place = np.searchsorted(begun.path.mesh[0], np.arange(count) / count)
     (state, more), (z, finer) = (
