@@ -427,15 +427,17 @@ def branches(periods, name, expected=None):
     return check
 
 
-def straight_curve(data, groups):
-    """The doubling at μ = ν, of any ν, and no point of codimension two."""
+def straight_curves(data, groups):
+    """The doubling at μ = ν, of any ν, and no point of codimension two; doubled orbits of amplitude 0.3 at μ = ν + 0.09."""
     kinds = data["kind"].attrs["flag_meanings"].split()
-    assert [kinds[k] for k in data["kind"].to_numpy()] == ["period_doubling"]
-    mu, nu = (data[name].to_numpy()[0] for name in ("mu", "nu"))
-    there = np.isfinite(mu)
-    assert there.sum() > 5
-    assert np.abs(mu - nu)[there].max() < CLOSE
-    assert (nu[there].min(), nu[there].max()) == pytest.approx((-0.02, 0.02), abs=CLOSE)
+    assert [kinds[k] for k in data["kind"].to_numpy()] == ["period_doubling", "maximum"]
+    assert data["period"].to_numpy().tolist() == [1, 2]
+    for k, above in enumerate((0.0, 0.09)):
+        mu, nu = (data[name].to_numpy()[k] for name in ("mu", "nu"))
+        there = np.isfinite(mu)
+        assert there.sum() > 5
+        assert np.abs(mu - nu - above)[there].max() < CLOSE
+        assert (nu[there].min(), nu[there].max()) == pytest.approx((-0.02, 0.02), abs=CLOSE)
     assert groups["codimension_two"].sizes["codimension_two"] == 0
 
 
@@ -498,6 +500,17 @@ def moebius_exponents(values):
 
 def moebius_periods(values):
     return np.where(beyond(values) > 0, 2, 1)
+
+
+def moebius_phase(data, groups):
+    """The least period; and of the angle about the axis, which is the phase, once or twice around, the derivatives."""
+    periods(moebius_periods)(data, groups)
+    turns, x, y, *of, values = lanes_of(data, "time", "x", "y", "x_response", "y_response", "z_response")
+    share = 1.0 / moebius_periods(values)[:, None]
+    assert np.abs(turns / (TURN / share[:, 0]) - 1.0).max() < CLOSE
+    square = x**2 + y**2
+    for response, exact in zip(of, (-y / square, x / square, 0.0 * x), strict=True):
+        assert np.abs(response - share * exact).max() < CLOSE
 
 
 def moebius_saddle(values):
@@ -646,9 +659,10 @@ KINDS = {
             "doubling": doubling("mu", lambda data: data["nu"].to_numpy()),
             "windows": "windows are looked for along one axis; leave out nu",
             "branches": "branches are followed along one axis; leave out nu",
-            "curves": straight_curve,
+            "curves": straight_curves,
         },
         moebius.MOEBIUS,
+        {"curves": OPTIONS["curves"] | {"maximum": {"u": 0.3}}},
     ),
     "a shared axis": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {omega: {values: [1.0, 2.0]}, "
@@ -691,9 +705,10 @@ KINDS = {
         SPACE + SECTION,
         MOEBIUS
         | IN_SPACE
-        | {"verdict": words("limit_cycle"), "basins": one_attractor, "homoclinic": SADDLES_OVER_ONE.format("mu")},
+        | {"verdict": words("limit_cycle"), "basins": one_attractor, "homoclinic": SADDLES_OVER_ONE.format("mu")}
+        | {"period": moebius_phase},
         moebius.MOEBIUS_IN_SPACE,
-        starts_between("x", 1.2, 1.4),
+        starts_between("x", 1.2, 1.4) | {"period": OPTIONS["period"] | {"phase_response": 4}},
     ),
     "a right-hand side with jumps on a section": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1, clock: 0.5}\nsweep: {"

@@ -87,6 +87,12 @@ def _lyapunov(data: xr.Dataset) -> _Description:
     return _Description("curves", ("exponents",), ("exponent",), words)
 
 
+def _period(data: xr.Dataset) -> _Description:
+    if names := [name for name in _over(data, "phase") if name.endswith("_response")]:
+        return _Description("phase_responses", names, ("phase",))
+    return _Description("integers", ("period",), label="least period")
+
+
 def _transport(data: xr.Dataset) -> _Description:
     names = [str(name) for name in data.data_vars if str(name).endswith("_growth") or name == "diffusion_exponent"]
     return _Description("curves", names, (), "exponents of time", "0 1")
@@ -176,7 +182,7 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("undecided",),
         lambda data: _Description("basins", () if "start" in data.dims else ("attractor",), label="attractor"),
     ),
-    "period": (("period", "residual"), lambda _: _Description("integers", ("period",), label="least period")),
+    "period": (("period", "residual"), _period),
     "portrait": (("time", "status"), lambda data: _plane(data, "trajectories", "time")),
     "poincare": (("strobe",), lambda data: _plane(data, "points", "strobe")),
     "diagram": (("status",), _diagram),

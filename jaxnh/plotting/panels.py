@@ -18,6 +18,7 @@ from jaxnh.plotting.density import density
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import kind_of
 from jaxnh.plotting.manifolds import manifolds
+from jaxnh.plotting.phase_response import phase_responses
 from jaxnh.plotting.pixels import Colourer, Pixels, flag_pixels, integer_pixels, number_pixels
 from jaxnh.plotting.planes import points, trajectories
 from jaxnh.plotting.windows import windows
@@ -51,6 +52,7 @@ PANELS: Mapping[str, Kind] = {
     "cascade": Kind(cascade, 2.1, "group"),
     "curves": Kind(curves, 2.7, "point", numbers_chart, pixels=number_pixels),
     "integers": Kind(integers, 2.0, "group", integers_chart, pixels=integer_pixels),
+    "phase_responses": Kind(phase_responses, 2.9, "lane"),
     "basins": Kind(integers, 2.0, "group", basins_chart, "shares", basin_pixels),
     "shares": Kind(shares, 2.4, "group"),
     "branches": Kind(branches, 3.6, "group"),

@@ -14,9 +14,17 @@ from jaxnh.systems.definition import Definition
 def in_periods(define: Callable[..., Definition]) -> Callable[..., Definition]:
     """Return the definition of a right-hand side, `rhs` and `period`, in time over the period."""
 
-    def scaled(**p: Any) -> Mapping[str, Any]:
+    def in_periods_of(**p: Any) -> Mapping[str, Any]:
         definition = define(**p)
         period, rhs = definition["period"], definition["rhs"]
-        return {**definition, "period": 1.0, "rhs": lambda y, t: tuple(period * rate for rate in rhs(y, period * t))}
+        scaled = {name: _over(period, each) for name, each in definition.get("observables", {}).items()}
+        more = {"observables": scaled} if scaled else {}
+        rates = _over(period, rhs)
+        return {**definition, **more, "period": 1.0, "rhs": lambda y, t: tuple(period * rate for rate in rates(y, t))}
 
-    return scaled
+    return in_periods_of
+
+
+def _over(period: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of (y, t) at times that are shares of a period."""
+    return lambda y, share: function(y, period * share)

@@ -18,7 +18,7 @@ CLOCKS = ("period", "time_unit")
 """Keys of a definition that say what lengths of time are counted in."""
 
 _OF_ALL = ("coordinates", "angles", "labels", "units", "reversal")
-_FIRST_ORDER = ("rhs", *EVENTS, *CLOCKS, *_OF_ALL)
+_FIRST_ORDER = ("rhs", "observables", *EVENTS, *CLOCKS, *_OF_ALL)
 _MECHANICS = ("T", "Q", "f", "ignorable", "integrals", "outputs", *EVENTS, *KEYS, *CLOCKS, *_OF_ALL)
 _MAP = ("map", "inverse", *_OF_ALL[:-1])
 _OWN_KEYS = {"map": _MAP, "rhs": _FIRST_ORDER}  # of a system that returns one of these
@@ -109,6 +109,8 @@ def check_names(definition: Mapping[str, Any], parameters: Sequence[str]) -> Non
     every += definition.get("integrals", ())
     _check_functions("outputs", "(q, v, t, multipliers)", "force", definition, (*every, *parameters))
     every += definition.get("outputs", ())
+    _check_functions("observables", "(y, t)", "height", definition, (*every, *parameters))
+    every += definition.get("observables", ())
     for kind in ("labels", "units"):
         said = definition.get(kind, {})
         if not isinstance(said, Mapping) or not all(isinstance(word, str) for word in said.values()):

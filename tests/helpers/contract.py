@@ -81,7 +81,7 @@ def _check_words(key, variable, unsaid):
         return
     base = key.removesuffix("_error").removeprefix("start_").removeprefix("change_").removeprefix("codimension_two_")
     base = re.sub(
-        r"_(points|orbit|departure|arrival|crossings|edge|shock|direction|attractor|max|min|mean|std|low|drift)$",
+        r"_(points|response|orbit|departure|arrival|crossings|edge|shock|direction|attractor|max|min|mean|std|low|drift)$",
         "",
         base,
     )

@@ -87,6 +87,20 @@ def periods(b, units="periods of the forcing"):
     return dataset({"b": (b, "coupling b")}, variables, **look)
 
 
+def radial_responses(b):
+    """Phase responses of a cycle whose isochrons are radii."""
+    phase = 2 * np.pi * np.arange(32) / 32
+    curves = {"x1": -np.sin(phase), "x2": np.cos(phase)}
+    variables = {
+        f"{name}_response{end}": (("b", "phase"), np.tile(factor(curve), (len(b), 1)), f"{words} of {name}", "rad")
+        for name, curve in curves.items()
+        for end, factor, words in (("", np.array, "derivative of the phase"), ("_error", np.abs, "error"))
+    }
+    look = {"panel": "phase_responses", "panel_variables": "x1_response x2_response"}
+    made = dataset({"b": (b, "coupling b")}, variables, **look).assign_attrs(axes="b")
+    return made.assign_coords(phase=("phase", phase, {"long_name": "phase after the section", "units": "rad"}))
+
+
 def growth_rates(b):
     k = np.linspace(0, 1, len(b))
     variables = {

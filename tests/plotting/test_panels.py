@@ -24,6 +24,7 @@ from tests.helpers.hand_made_results import (
     exponents,
     growth_rates,
     periods,
+    radial_responses,
     states,
     tree,
     verdicts,
@@ -48,6 +49,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
     special_points,
     windows,
     manifolds,
+    phase_responses,
 ) = (
     PANELS[name].draw
     for name in (
@@ -66,6 +68,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
         "special_points",
         "windows",
         "manifolds",
+        "phase_responses",
     )
 )
 
@@ -97,6 +100,7 @@ DRAWINGS = {
     "special_points": lambda ax: special_points(cusp_point(), ax),
     "windows": lambda ax: windows(window_rows(), ax),
     "manifolds": lambda ax: manifolds(cat_manifolds(), ax),
+    "phase_responses": lambda ax: phase_responses(radial_responses(FEW), ax, lane=1),
 }
 
 

@@ -26,16 +26,16 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.continuation.cycle_paths import duration_of
 from jaxnh.analyses.continuation.cycle_points import durations, tree_of_cycles
 from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import check_equilibria, cycles_at_hopf_points, equilibria
-from jaxnh.analyses.continuation.families import no_collocation, orbit_family, step_control
+from jaxnh.analyses.continuation.families import orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.options.orbits import BranchesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
+from jaxnh.analyses.periodic.flow_cycles import duration_of, no_collocation
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.maps.section import Section
@@ -88,7 +88,7 @@ def _has_long_returns(batch: LaneBatch, lanes: LaneRunner, waves: Sequence[Seque
     first = next((seed for wave in waves for seed in wave), None)
     if first is None or not batch.flow.autonomous or no_collocation(batch.flow):
         return False
-    steps = batch.steps * duration_of(batch, lanes, first) / batch.flow.period
+    steps = batch.steps * duration_of(batch.at_values(np.array([first.value])), lanes, first.points) / batch.flow.period
     return steps > _LONG_RETURN * len(first.points)
 
 
@@ -152,7 +152,7 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     if options.method != "collocation" and not long:
         tree = grow(families, waves, options.max_period, steps, stage)
     if tree is None or (options.method == "auto" and _needs_collocation(batch.flow, tree)):
-        followed, lost = grow_cycles(batch, lanes, waves, options.max_period, ends, steps, stage)
+        followed, lost = grow_cycles(batch, lanes, waves, unit, options.max_period, ends, steps, stage)
         tree, timed = tree_of_cycles(batch, followed, lost), durations(followed)
     orbits = FollowedBranches(tree, families[0], batch, timed)
     return datasets(lanes, [orbits, *still], options.max_period, derived=bool(options.sensitivities))

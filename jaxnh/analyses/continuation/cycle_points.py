@@ -7,21 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import brentq
 
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
+from jaxnh.analyses.periodic.flow_cycles import passages
 from jaxnh.maps.section import Section
 from jaxnh.orbits.collocation.bifurcations import CycleBifurcation
 from jaxnh.orbits.collocation.equations import BoundarySolution
 from jaxnh.orbits.collocation.following import CycleBranch
-from jaxnh.orbits.collocation.paths import PiecewisePath, values_at
+from jaxnh.orbits.collocation.paths import values_at
 from jaxnh.orbits.continuation.arclength import PathVector
 from jaxnh.orbits.continuation.branches import Branch
-from jaxnh.systems.chart import wrap_angle
-
-_LOOKED_AT = 8  # places of an interval where the sign of the height is looked at
-_ROUNDING = 1e-16  # of the duration
 
 
 class FollowedCycles(NamedTuple):
@@ -73,33 +69,7 @@ def cycle_points(batch: LaneBatch, solution: BoundarySolution, returns: int) -> 
     path, system = solution.path, batch.system
     if not isinstance(system, Section):
         return values_at(path, np.arange(returns)[None] / returns)[0]
-    places = _passages(system, path)[:returns]
+    places = passages(system, path)[:returns]
     points = values_at(path, places[None])[0]
     points = np.delete(points, system.number, axis=1)
     return np.concatenate([points, np.full((returns - len(points), points.shape[1]), np.nan)])
-
-
-def _passages(section: Section, path: PiecewisePath) -> Float[np.ndarray, " k"]:
-    """Places of a path where it passes a section in its direction."""
-    shares = np.arange(_LOOKED_AT) / _LOOKED_AT
-    places = np.append((path.mesh[0, :-1, None] + path.steps[0][:, None] * shares).ravel(), 1.0)
-    heights = _heights(section, path, places)
-    up, down = (heights[:-1] <= 0.0) & (heights[1:] > 0.0), (heights[:-1] >= 0.0) & (heights[1:] < 0.0)
-    wanted = {"up": up, "down": down, "both": up | down}[section.direction]
-    jumps = np.abs(np.diff(heights)) > np.pi if section.flow.chart.angles[section.number] else np.zeros(len(up), bool)
-    ends = zip(places[:-1][wanted & ~jumps], places[1:][wanted & ~jumps], strict=True)
-
-    def height(place: float) -> float:
-        return float(_heights(section, path, np.array([place]))[0])
-
-    return np.array([brentq(height, low, high, xtol=_ROUNDING) for low, high in ends])
-
-
-def _heights(section: Section, path: PiecewisePath, places: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Heights of a path above the value of the section, whichever way it is passed."""
-    states = values_at(path, places[None])[0]
-    weights = np.eye(states.shape[1])[section.number]
-    if section.normal is not None:
-        weights[: len(section.normal)] = section.normal
-    heights = states @ weights - section.value
-    return wrap_angle(heights) if section.flow.chart.angles[section.number] else heights

@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.continuation.cycle_paths import first_guesses
 from jaxnh.analyses.continuation.cycle_points import FollowedCycles, cycle_points
-from jaxnh.analyses.continuation.families import flow_problem
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
+from jaxnh.analyses.periodic.flow_cycles import cycle_guess, cycle_size, flow_problem, path_lift
 from jaxnh.maps.section import Section
 from jaxnh.orbits.collocation.bifurcations import CycleBifurcation, bifurcations, doubled_cycle
 from jaxnh.orbits.collocation.cycle_equations import (
@@ -44,6 +43,7 @@ def grow_cycles(
     batch: LaneBatch,
     lanes: LaneRunner,
     waves: Sequence[Sequence[SeedOrbit]],
+    unit: Float[np.ndarray, " d"],
     limit: int,
     ends: tuple[float, float],
     steps: StepControl,
@@ -55,6 +55,7 @@ def grow_cycles(
         batch: lanes along the first axis.
         lanes: runs lanes.
         waves: orbits to begin with, at points of the section or at strobes.
+        unit: size of motions in each section coordinate.
         limit: largest period, in returns.
         ends: of the range of the parameter, the lower one first.
         steps: how branches are followed.
@@ -65,13 +66,17 @@ def grow_cycles(
         if problem is not None and _passes_seed(problem, followed, seed, batch):
             continue
         with stage("path of an orbit"):
-            guesses = first_guesses(batch, lanes, [seed])
-        for returns, guess in guesses:
-            if problem is None:
-                widths = np.array([ends[1] - ends[0]])
-                problem = flow_problem(batch, lanes, _size_of(guess), (batch.first_axis.name,), widths)
-            with stage(f"cycles of {returns} returns by collocation"):
-                lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch)
+            path = cycle_guess(batch.at_values(np.array([seed.value])), lanes, seed.points)
+        if path is None:
+            continue
+        guess, returns = BoundarySolution(path[0], np.array([path[1]]), np.array([[seed.value]])), len(seed.points)
+        if problem is None:
+            widths = np.array([ends[1] - ends[0]])
+            problem = flow_problem(
+                batch, lanes, cycle_size(batch.system, guess.path, unit), (batch.first_axis.name,), widths
+            )
+        with stage(f"cycles of {returns} returns by collocation"):
+            lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch)
     return followed, lost
 
 
@@ -86,10 +91,10 @@ def _follow_on(
     batch: LaneBatch,
 ) -> int:
     """Follow the branch of a cycle and those of doubled ones, where they are new; how many signs led to nothing."""
-    begun = _first_point(problem, guess, _lift(batch, guess))
+    begun = _first_point(problem, guess, path_lift(batch.flow, guess.path))
     if begun is None or _is_known(problem, followed, begun, returns):
         return 0
-    lift, lost = _lift(batch, guess), 0
+    lift, lost = path_lift(batch.flow, guess.path), 0
     open_ = [(begun, returns, lift, True)]
     while open_:
         point, n, lift, both_ways = open_.pop(0)
@@ -182,15 +187,3 @@ def _joined(
     moved_back = [point._replace(place=place - 1 - point.place) for point in before]
     moved_ahead = [point._replace(place=place + point.place) for point in located]
     return FollowedCycles(returns, lift, whole, [*moved_back, *moved_ahead])
-
-
-def _size_of(guess: BoundarySolution) -> Float[np.ndarray, " d"]:
-    """Half the extent of a path in each coordinate."""
-    size = 0.5 * np.ptp(guess.path.ends[0], axis=0)
-    return np.where(size > 0.0, size, size.max() or 1.0)
-
-
-def _lift(batch: LaneBatch, guess: BoundarySolution) -> Float[np.ndarray, " d"]:
-    """Whole turns of angles from the beginning of a path to its end."""
-    turns = np.round((guess.path.ends[0, -1] - guess.path.ends[0, 0]) / (2 * np.pi))
-    return np.where(batch.flow.chart.angles, 2 * np.pi * turns, 0.0)

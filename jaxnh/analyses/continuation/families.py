@@ -12,21 +12,16 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import Continuation
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
-from jaxnh.orbits.collocation.equations import FieldValues, Problem
 from jaxnh.orbits.collocation.fields import eigenvector_rates, mixed_derivative, point_rates
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.curves import ParameterPlane
 from jaxnh.orbits.continuation.equilibrium_curves import FieldPlane
 from jaxnh.orbits.continuation.paths import StepControl
-from jaxnh.systems.flow import Flow
-from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
-from jaxnh.systems.switched_mechanics import SwitchedMechanics
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
 # On a section, whose returns are of many steps, arithmetic decides: of the flows in configs/flows eight lanes take the
 # time of four, and 32 take five to ten times as long (derivatives of peroxidase.yaml: 16, 17 and 172 ms).
 _ON_SECTION = 8
-_POINTS, _FEW = 256, 8  # of paths and of equilibria, a tile
 
 
 def check_plane(what: str, setting: Setting) -> None:
@@ -40,17 +35,6 @@ def check_plane(what: str, setting: Setting) -> None:
             raise OptionError(f"{what} are followed over two parameters, and {axis.name} is {other}")
         if len(np.unique(axis.values)) < 2:
             raise OptionError(f"{what} are followed over a range of {axis.name}, and the sweep has one value of it")
-
-
-def no_collocation(flow: Flow) -> str:
-    """Return why cycles and equilibria of a system are no isolated solutions of a smooth field; "" where they are."""
-    if not flow.continuous:
-        return "collocation is of flows, and this is a map"
-    if isinstance(flow, PiecewiseSmooth | SwitchedMechanics):
-        return "collocation is of smooth motions, without jumps or switches"
-    if flow.chart.dimension > flow.exponents:
-        return "cycles and equilibria of a flow with constraints are not isolated"
-    return ""
 
 
 def step_control(options: Continuation) -> StepControl:
@@ -102,21 +86,6 @@ def parameter_plane(
         return lanes(derivatives, shared, (u, both), tile=_TILE, static=(names,))
 
     return ParameterPlane(period, batch.chart.wrap, size, low, high)
-
-
-def flow_problem(
-    batch: LaneBatch, lanes: LaneRunner, size: Float[np.ndarray, " d"], names: tuple[str, ...], widths: np.ndarray
-) -> Problem:
-    """The flow of a batch over parameters that lanes may have of their own, for collocation."""
-
-    def field(
-        y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points q"]
-    ) -> FieldValues:
-        p = {key: np.full(len(y), leaf[0]) for key, leaf in batch.p.items()} | dict(zip(names, values.T, strict=True))
-        tile = _POINTS if len(y) > _FEW else _FEW
-        return FieldValues(*map(np.asarray, lanes(point_rates, (batch.flow,), (y, t, p), tile=tile, static=(names,))))
-
-    return Problem(field, size, widths, not batch.flow.autonomous)
 
 
 def equilibrium_family(

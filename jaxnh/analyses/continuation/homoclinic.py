@@ -29,9 +29,10 @@ from jaxnh.analyses.base import (
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shooting, connection_seeds, saddle_chains
 from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
-from jaxnh.analyses.continuation.families import check_plane, flow_problem, no_collocation, step_control
+from jaxnh.analyses.continuation.families import check_plane, step_control
 from jaxnh.analyses.continuation.tables import special_kinds, special_values
 from jaxnh.analyses.options.orbits import HomoclinicOptions
+from jaxnh.analyses.periodic.flow_cycles import flow_problem, no_collocation
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.orbits.bifurcations.connection_points import (

@@ -26,6 +26,15 @@ Extra = Annotated[bool | None, AfterValidator(_none_for_no)]
 """Whether numbers are given beside those that there are always."""
 
 
+def _none_for_yes(asked: bool | None) -> bool | None:
+    """Return None for yes, likewise."""
+    return None if asked else asked
+
+
+Omission = Annotated[bool | None, AfterValidator(_none_for_yes)]
+"""Whether numbers are given that there are where nothing is said."""
+
+
 class Block(BaseModel):
     """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
 

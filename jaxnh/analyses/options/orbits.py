@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import Extra, Options, Side, check_random_starts, check_sides, rule
+from jaxnh.analyses.options.base import Extra, Omission, Options, Side, check_random_starts, check_sides, rule
 
 
 class SensitivityOptions(Options):
@@ -24,6 +24,12 @@ class PeriodOptions(SensitivityOptions):
 
     max_period: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
     transient: int = Field(default=512, ge=0, description="Periods before the last look at the strobe points")
+    phase_response: int | None = Field(
+        default=None,
+        ge=2,
+        le=4096,
+        description="Phases at which the phase response of limit cycles is given; by default it is not",
+    )
 
 
 class DoublingOptions(SensitivityOptions):
@@ -119,12 +125,34 @@ class CurvesOptions(Continuation):
         default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
     )
     max_steps: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
+    bifurcations: Omission = Field(default=None, description="Whether bifurcations of periodic orbits are followed")
+    duration: float | None = Field(
+        default=None, gt=0, description="Time of a flow without a clock that cycles take along a curve of their own"
+    )
+    maximum: dict[str, float] | None = Field(
+        default=None, description="Observables whose largest value along a cycle is one given, each with a curve"
+    )
+    minimum: dict[str, float] | None = Field(
+        default=None, description="Observables whose least value along a cycle is one given, each with a curve"
+    )
+    grazing: Extra = Field(
+        default=None, description="Whether cycles that touch a wall of a jump or the surface of a switch are followed"
+    )
+
+    @property
+    def conditional(self) -> bool:
+        """Tell whether cycles that keep a condition are followed."""
+        return bool(self.duration or self.maximum or self.minimum or self.grazing)
 
     @model_validator(mode="after")
     def _check(self) -> CurvesOptions:
         check_random_starts(self.box, self.equilibria, "seed" in self.model_fields_set, "equilibria")
+        if self.conditional and not self.max_period:
+            raise rule("cycles that keep a condition are periodic orbits: give a max_period of 1 or more", "max_period")
         if not (self.max_period or self.equilibria):
             raise rule("without periodic orbits there are curves of equilibria alone: give equilibria", "max_period")
+        if self.bifurcations is False and not (self.conditional or self.equilibria):
+            raise rule("then nothing is left to follow: give duration, maximum, minimum or grazing", "bifurcations")
         return self
 
 

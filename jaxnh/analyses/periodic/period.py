@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Analysis, Entry, as_variable, number_variable, variable
+from jaxnh.analyses.base import LANE, Analysis, Entry, Setting, as_variable, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.orbits import PeriodOptions
 from jaxnh.analyses.periodic.attractor_survey import Survey, polish_beyond_doublings, survey_from_start
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
+from jaxnh.analyses.periodic.phase_response import check_phase_response, phase_response_variables
 from jaxnh.analyses.periodic.sensitivities import lane_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import sensitivity_variables
 from jaxnh.analyses.price import Price, newton_price
@@ -24,7 +27,13 @@ def periods(options: PeriodOptions, lanes: int) -> float:
 
 def numbers(options: PeriodOptions) -> int:
     """Numbers that a lane needs: the strobe points it is judged by."""
-    return 6 * options.max_period
+    return 6 * options.max_period + 4 * (options.phase_response or 0)
+
+
+def check(options: PeriodOptions, setting: Setting) -> None:
+    """Check that a system has phase responses, where they are asked for."""
+    if options.phase_response:
+        check_phase_response(setting)
 
 
 def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -43,7 +52,12 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     }
     if options.sensitivities:
         variables |= _sensitivities(batch, lanes, attractors)
-    return xr.Dataset(variables, attrs={"max_period": options.max_period, "transient": options.transient})
+    attrs: dict[str, Any] = {"max_period": options.max_period, "transient": options.transient}
+    if options.phase_response:
+        variables |= phase_response_variables(batch, lanes, attractors, options.phase_response)
+        if missed := np.count_nonzero((attractors.period > 0) & np.isnan(variables["time"][1])):
+            attrs["warnings"] = f"period: {missed} lanes have no phase response: at rest, or no cycle by collocation"
+    return xr.Dataset(variables, attrs=attrs)
 
 
 def _sensitivities(batch: LaneBatch, lanes: LaneRunner, attractors: Survey) -> dict[str, Entry]:
@@ -75,6 +89,7 @@ ANALYSIS = Analysis(
     stackable=True,
     numbers=numbers,
     classes=classes,
+    check=check,
     price=price,
     brief={"transient": 1, "max_period": 1},
 )

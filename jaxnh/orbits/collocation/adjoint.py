@@ -1,4 +1,7 @@
-"""The adjoint variational equation along connecting orbits: ψ' = −Aᵀψ, bounded for all times. Host code."""
+"""Solutions of the adjoint variational equation ψ' = −Aᵀψ: bounded ones of connecting orbits, periodic ones of cycles.
+
+Host code.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,8 @@ from jaxtyping import Float
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from jaxnh.orbits import cyclic
+from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.equations import BoundarySolution, Problem, linearise
 from jaxnh.orbits.collocation.homoclinic import SaddlePoint, projections
 
@@ -62,3 +67,41 @@ def adjoint_solution(
     slopes = np.asarray(problem.field(states, np.zeros(n + 1), values).by_parameters)
     products = np.einsum("kd,kdq->kq", psi / problem.size, slopes * problem.widths)
     return AdjointSolution(psi, orbit.duration[0] * np.trapezoid(products, orbit.path.mesh[0], axis=0))
+
+
+class PhaseResponse(NamedTuple):
+    """Infinitesimal phase response of cycles, a lane each.
+
+    Attributes:
+        z: derivative of the phase in each coordinate where intervals begin, rad over the coordinate's unit,
+            (lanes, n, d).
+        spread: largest deviation of the phase's rate along the motion from its mean, of the mean, (lanes,).
+    """
+
+    z: Float[np.ndarray, "lanes n d"]
+    spread: Float[np.ndarray, " lanes"]
+
+
+def phase_response(problem: Problem, cycles: BoundarySolution, lift: Float[np.ndarray, "lanes d"]) -> PhaseResponse:
+    """The periodic solution of the adjoint equation along cycles, z · f = 2π/T (Malkin; Ermentrout, Neural Comput. 8
+    (1996) 979).
+
+    It is the left eigenvector of the monodromy for the multiplier one, carried along the cycle by the derivatives over
+    intervals, of which no product is formed.
+
+    Args:
+        problem: a field without a clock.
+        cycles: solutions on meshes that resolve them.
+        lift: of the end over the beginning.
+    """
+    lanes, count, d = cycles.path.stages.shape[0], cycles.path.stages.shape[1], cycles.path.stages.shape[3]
+    blocks = linearise(problem, cycles, closure(problem, lift)(cycles, np.arange(lanes))).blocks
+    here = np.broadcast_to(-np.eye(d), blocks.shape)
+    psi = cyclic.null_vector(cyclic.eliminate(here, np.swapaxes(blocks, -1, -2)))
+    states, values = cycles.path.ends[:, :-1].reshape(-1, d), np.repeat(cycles.values, count, axis=0)
+    rate = np.asarray(problem.field(states, np.zeros(len(states)), values).rate).reshape(psi.shape) / problem.size
+    products = np.sum(psi * rate, axis=2)
+    mean = products.mean(axis=1)
+    scale = 2 * np.pi / (cycles.duration * mean)
+    spread = np.abs(products / mean[:, None] - 1.0).max(axis=1)
+    return PhaseResponse(scale[:, None, None] * psi / problem.size, spread)

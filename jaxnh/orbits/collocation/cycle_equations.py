@@ -1,13 +1,14 @@
 """Cycles on one mesh as equations of the core of continuation, and points of their branches. Host code.
 
 Lengths are those of `equations.inner`: of the orbit in sizes of the motion, of the logarithm of its duration, and of
-the parameter in the width of its range.
+the parameters in the widths of their ranges. With conditions on cycles there is a parameter more for each.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -15,15 +16,17 @@ from jaxtyping import Bool, Complex, Float
 from jaxnh.orbits.collocation.cycles import closure, cycle_multipliers
 from jaxnh.orbits.collocation.equations import (
     BoundarySolution,
+    Functional,
     NewtonSystem,
+    PointCondition,
     Problem,
     Variation,
     combination,
-    direction_without,
+    direction_of,
     inner,
     linearise,
     phase_condition,
-    step_without,
+    step_of,
 )
 from jaxnh.orbits.collocation.newton import take
 from jaxnh.orbits.collocation.paths import PiecewisePath, adapted_mesh, interpolation_errors, on_mesh, values_at
@@ -37,6 +40,10 @@ _UNEVEN, _EVEN_ENOUGH = 100.0, 0.1  # times the median error, and of the error a
 _FARTHEST = 1e3  # sizes of the motion
 _LEAST_LOOP = 8  # points of a closed branch
 _SAMPLED = 32  # points of an orbit that tell whether it has become one of half the duration
+
+
+Ends = tuple[float, float] | tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]
+"""Ends of the range of a parameter, or of the ranges of k, the lower ones first."""
 
 
 class CyclePoint(NamedTuple):
@@ -78,19 +85,39 @@ class CyclePoint(NamedTuple):
         return float(self.solution.values[0, 0])
 
 
+class CycleConditions(Protocol):
+    """Conditions on cycles, as many as make a curve of those over all parameters.
+
+    Attributes:
+        begins: whether they say where cycles begin, or with a clock how long they take; else that is the integral
+            phase condition.
+    """
+
+    begins: bool
+
+    def at(self, solution: BoundarySolution, /) -> Sequence[PointCondition]:
+        """The conditions, linearised at cycles."""
+        ...
+
+    def endings(self, solution: BoundarySolution, /) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
+        """Cycles beyond the end of a curve, by number in `paths.ENDS`."""
+        ...
+
+
 class CollocationEquations(EquationsOfPaths):
-    """Cycles on one mesh as `core.CurveEquations`: states, the logarithm of the duration, and the parameter.
+    """Cycles on one mesh as `core.CurveEquations`: states, the logarithm of the duration, and the parameters.
 
     Orbits are not shifted along themselves against one of them, which is the integral phase condition: without a fixed
     reference the shifts of points would grow from one prediction through them to the next. States at the ends of
     intervals follow from those inside, and count in no length.
 
     Args:
-        problem: the field, with one parameter.
+        problem: the field, with one parameter, or with conditions more.
         near: the cycle that is the reference, one lane, on the mesh.
         lift: of the end of an orbit over its beginning.
-        ends: of the range of the parameter, the lower one first; by default it has none.
+        ends: of the ranges of the last parameters, the lower ones first; by default there are none.
         passed: points of the branch so far, the first of which tell where it closes.
+        conditions: on cycles, beside what they are.
     """
 
     def __init__(
@@ -98,15 +125,16 @@ class CollocationEquations(EquationsOfPaths):
         problem: Problem,
         near: BoundarySolution,
         lift: Float[np.ndarray, " d"],
-        ends: tuple[float, float] = (-np.inf, np.inf),
+        ends: Ends = (-np.inf, np.inf),
         passed: Sequence[CyclePoint] = (),
+        conditions: CycleConditions | None = None,
     ) -> None:
-        path = near.path
+        path, self._extra, self._conditions = near.path, 1 + len(problem.widths), conditions
         self._problem, self._mesh, self._lift, self._range, self._passed = problem, path.mesh, lift, ends, passed
         self._ends, self._stages = path.ends.shape[1:], path.stages.shape[1:]
         inside = (problem.size / np.sqrt(path.measure[..., None])).ravel()
         self.unit = np.concatenate([np.full(path.ends.size, np.inf), inside, [1.0], problem.widths])
-        self.low, self.high = np.array([ends[0]]), np.array([ends[1]])
+        self.low, self.high = np.atleast_1d(ends[0]), np.atleast_1d(ends[1])
         self._near, self._shift = self.unknowns(near), phase_condition(problem, self._linear(near))
 
     def unknowns(self, solution: BoundarySolution) -> Float[np.ndarray, "lanes N"]:
@@ -119,7 +147,8 @@ class CollocationEquations(EquationsOfPaths):
         """Cycles of unknowns."""
         ends, stages = self._states(z)
         mesh = np.broadcast_to(self._mesh, (len(z), self._mesh.shape[1]))
-        return BoundarySolution(PiecewisePath(mesh, ends, stages), np.exp(z[:, -2]), z[:, -1:])
+        extra = z[:, -self._extra :]
+        return BoundarySolution(PiecewisePath(mesh, ends, stages), np.exp(extra[:, 0]), extra[:, 1:])
 
     def direction(self, way: Variation) -> Float[np.ndarray, "lanes N"]:
         """A direction of cycles as one of unknowns."""
@@ -130,19 +159,21 @@ class CollocationEquations(EquationsOfPaths):
     def variation(self, z: Float[np.ndarray, "lanes N"]) -> Variation:
         """A direction of unknowns as one of cycles."""
         ends, stages = self._states(z)
-        extra = np.concatenate([z[:, -2:-1], z[:, -1:] / self._problem.widths], axis=1)
+        extra = z[:, -self._extra :] / np.append(1.0, self._problem.widths)
         return Variation(ends / self._problem.size, stages / self._problem.size, extra)
 
     def adapted(self, near: BoundarySolution, n: int) -> CollocationEquations:
         """The equations near a cycle on a mesh of n intervals that suits it."""
         path = on_mesh(near.path, adapted_mesh(near.path, self._problem.size, n))
-        return CollocationEquations(self._problem, near._replace(path=path), self._lift, self._range, self._passed)
+        near = near._replace(path=path)
+        return CollocationEquations(self._problem, near, self._lift, self._range, self._passed, self._conditions)
 
     def carried(self, z: Float[np.ndarray, "lanes N"], others: CollocationEquations) -> Float[np.ndarray, "lanes M"]:
         """Unknowns or directions as those on the mesh of other equations."""
         mesh, other = (np.broadcast_to(one, (len(z), one.shape[1])) for one in (self._mesh, others._mesh))
         path = on_mesh(PiecewisePath(mesh, *self._states(z)), other)
-        return np.concatenate([path.ends.reshape(len(z), -1), path.stages.reshape(len(z), -1), z[:, -2:]], axis=1)
+        states = (path.ends.reshape(len(z), -1), path.stages.reshape(len(z), -1))
+        return np.concatenate([*states, z[:, -self._extra :]], axis=1)
 
     def of_point(self, point: CyclePoint) -> tuple[Float[np.ndarray, "1 N"], Float[np.ndarray, "1 N"]]:
         """Unknowns of a point on any mesh, and its direction."""
@@ -166,18 +197,36 @@ class CollocationEquations(EquationsOfPaths):
     def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
         """Residuals; and what Newton's equations have as solutions; not finite where they are singular."""
         lanes, solution = len(z), self.solution(z)
-        phase = Variation(*(np.repeat(leaf, lanes, axis=0) for leaf in self._shift))
         try:
-            line, gone = self._linear(solution), inner(solution.path, phase, self.variation(z - self._near))
-            way = direction_without(solution.path, line, [phase, phase])
-            step = step_without(solution.path, line, [phase, way], np.stack([gone, 0.0 * gone], axis=1))
+            line = self._linear(solution)
+            rows, gone = self._rows(solution, z)
+            way = direction_of(solution.path, line, rows)
+            step = step_of(line, [*rows, partial(inner, solution.path, way)], np.stack([*gone, 0.0 * gone[0]], axis=1))
         except np.linalg.LinAlgError:
             count = self._stages[0] * self._stages[2] ** 2 + 1
-            return Evaluation(*(np.full((lanes, *shape), np.nan) for shape in ((2,), (count,), (2, z.shape[1]))))
-        residual = np.stack([line.residual, gone / np.sqrt(inner(solution.path, phase, phase))], axis=1)
+            shapes = ((1 + len(self._problem.widths),), (count,), (2, z.shape[1]))
+            return Evaluation(*(np.full((lanes, *shape), np.nan) for shape in shapes))
         kept = np.concatenate([line.blocks.reshape(lanes, -1), line.divergence[:, None]], axis=1)
         slopes = np.stack([self.direction(step), self.direction(way)], axis=1)
-        return Evaluation(residual, kept, slopes)
+        return Evaluation(np.stack([line.residual, *gone], axis=1), kept, slopes)
+
+    def _rows(
+        self, solution: BoundarySolution, z: Float[np.ndarray, "lanes N"]
+    ) -> tuple[list[Functional], list[Float[np.ndarray, " lanes"]]]:
+        """Functionals that conditions are, of length one, and how far cycles are from each."""
+        lanes, conditions = len(z), self._conditions
+        rows, gone = list[Functional](), list[np.ndarray]()
+        if conditions is None or not conditions.begins:
+            size = np.sqrt(inner(solution.path, self._shift, self._shift))
+            phase = Variation(*(np.repeat(leaf / size, lanes, axis=0) for leaf in self._shift))
+            rows.append(partial(inner, solution.path, phase))
+            gone.append(rows[0](self.variation(z - self._near)))
+        for one in () if conditions is None else conditions.at(solution):
+            size = np.sqrt(np.sum(one.first**2, axis=1) + np.sum(one.extra**2, axis=1))
+            scaled = PointCondition(one.first / size[:, None], one.extra / size[:, None], one.missing / size)
+            rows.append(scaled.change)
+            gone.append(scaled.missing)
+        return rows, gone
 
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
         """None: the first point of a cycle is anywhere on it, and `invariants` tell where a branch closes."""
@@ -190,7 +239,9 @@ class CollocationEquations(EquationsOfPaths):
             far = np.abs(after.path.ends / self._problem.size).max(axis=(1, 2)) > _FARTHEST
             collapsed = _collapses(self._problem, before, after)
             closed = self._closes(before, after, core.norm(self.unit, taken.z - now.z))
-        return {COLLAPSED: collapsed, CLOSED: closed, UNBOUNDED: far}, collapsed
+        endings = {COLLAPSED: collapsed, CLOSED: closed, UNBOUNDED: far}
+        beyond = {} if self._conditions is None else self._conditions.endings(after)
+        return {**endings, **beyond}, np.any([collapsed, *beyond.values()], axis=0)
 
     def _linear(self, solution: BoundarySolution) -> NewtonSystem:
         lanes = len(solution.duration)
@@ -210,7 +261,7 @@ class CollocationEquations(EquationsOfPaths):
 
     def _states(self, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:
         count = self._ends[0] * self._ends[1]
-        return z[:, :count].reshape(-1, *self._ends), z[:, count:-2].reshape(-1, *self._stages)
+        return z[:, :count].reshape(-1, *self._ends), z[:, count : -self._extra].reshape(-1, *self._stages)
 
 
 def point_at(

@@ -8,7 +8,8 @@ duration and parameters as further unknowns are a line, a plane, …, of which c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -157,7 +158,8 @@ def rates_on(problem: Problem, solution: BoundarySolution) -> FieldValues:
     at = problem.field(path.stages.reshape(-1, d), times.reshape(-1), np.repeat(solution.values, each, axis=0))
     scale = solution.duration[:, None, None, None]
     jacobian = np.asarray(at.jacobian).reshape(lanes, n, m, d, d) * (size / size[:, None])
-    by_parameters = np.asarray(at.by_parameters).reshape(lanes, n, m, d, -1) * (problem.widths / size[:, None])
+    by_parameters = np.asarray(at.by_parameters).reshape(lanes, n, m, d, len(problem.widths))
+    by_parameters = by_parameters * (problem.widths / size[:, None])
     rate = np.asarray(at.rate).reshape(lanes, n, m, d) / size
     return FieldValues(scale * rate, scale[..., None] * jacobian, scale[..., None] * by_parameters)
 
@@ -227,6 +229,28 @@ def fixed(line: NewtonSystem, number: int) -> Variation:
     return Variation(0.0 * line.particular.ends, 0.0 * line.particular.stages, extra)
 
 
+class PointCondition(NamedTuple):
+    """A condition on cycles by the state that they begin with, the duration and the parameters, linearised.
+
+    Attributes:
+        first: derivative in the first state, in sizes, (lanes, d).
+        extra: derivatives in the logarithm of the duration and the parameters, in widths, (lanes, 1 + q).
+        missing: what is too much, (lanes,).
+    """
+
+    first: Float[np.ndarray, "lanes d"]
+    extra: Float[np.ndarray, "lanes 1+q"]
+    missing: Float[np.ndarray, " lanes"]
+
+    def change(self, way: Variation) -> Float[np.ndarray, " lanes"]:
+        """The derivative along a variation."""
+        return np.sum(self.first * way.ends[:, 0], axis=1) + np.sum(self.extra * way.extra, axis=1)
+
+
+Functional = Callable[[Variation], Float[np.ndarray, " lanes"]]
+"""A linear function of variations, as the inner product with one."""
+
+
 def step_without(
     path: PiecewisePath,
     line: NewtonSystem,
@@ -237,16 +261,28 @@ def step_without(
 
     Or takes back what solutions have `gone` along them.
     """
-    matrix = np.stack([[inner(path, way, one) for one in line.null] for way in directions])
-    right = -np.stack([inner(path, way, line.particular) for way in directions], axis=1) - gone
+    return step_of(line, [partial(inner, path, way) for way in directions], gone)
+
+
+def step_of(
+    line: NewtonSystem, rows: Sequence[Functional], gone: Float[np.ndarray, "lanes k"] | float = 0.0
+) -> Variation:
+    """The step of Newton along which as many functionals as there are solutions without right-hand sides take back."""
+    matrix = np.stack([[row(one) for one in line.null] for row in rows])
+    right = -np.stack([row(line.particular) for row in rows], axis=1) - gone
     shares = np.linalg.solve(np.moveaxis(matrix, 2, 0), right[..., None])[..., 0]
     return combination([(1.0, line.particular), *((shares[:, k], one) for k, one in enumerate(line.null))])
 
 
 def direction_without(path: PiecewisePath, line: NewtonSystem, directions: Sequence[Variation]) -> Variation:
     """The direction of length one of solutions without right-hand sides that is orthogonal to all but one as many."""
+    return direction_of(path, line, [partial(inner, path, way) for way in directions])
+
+
+def direction_of(path: PiecewisePath, line: NewtonSystem, rows: Sequence[Functional]) -> Variation:
+    """The direction of length one of solutions without right-hand sides along which functionals do not change."""
     gram = np.moveaxis(np.stack([[inner(path, a, b) for b in line.null] for a in line.null]), 2, 0)
-    matrix = np.moveaxis(np.stack([[inner(path, way, one) for one in line.null] for way in directions]), 2, 0)
+    matrix = np.moveaxis(np.stack([[row(one) for one in line.null] for row in rows]), 2, 0)
     shares = np.linalg.svd(matrix)[2][:, -1]
     lengths = np.sqrt(np.einsum("li,lij,lj->l", shares, gram, shares))
     return combination([(shares[:, k] / lengths, one) for k, one in enumerate(line.null)])

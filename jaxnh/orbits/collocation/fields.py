@@ -12,12 +12,47 @@ from jaxtyping import Array, Float
 
 from jaxnh.orbits.collocation.equations import FieldValues
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.observables import observable
 
 
 def point_rates(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, names: tuple[str, ...]) -> FieldValues:
     """The rates of the coordinates at a point, with derivatives in them and in parameters by name."""
     rate, values = _rate_and_values(flow, u, t, p, names)
     return FieldValues(rate(u, values), *jax.jacfwd(rate, (0, 1))(u, values))  # pyright: ignore[reportArgumentType]
+
+
+def timed_rates(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, names: tuple[str, ...]) -> FieldValues:
+    """The same with the derivative in time before those in parameters."""
+
+    def at_time(t: ArrayLike) -> Array:
+        rate, values = _rate_and_values(flow, u, t, p, names)
+        return rate(u, values)
+
+    at, t = point_rates(flow, u, t, p, names), jnp.asarray(t, u.dtype)
+    by_time = jax.jvp(at_time, (t,), (jnp.ones_like(t),))[1]
+    return at._replace(by_parameters=jnp.concatenate([by_time[:, None], at.by_parameters], axis=1))  # pyright: ignore[reportArgumentType]
+
+
+def height_rates(
+    flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, name: str, names: tuple[str, ...]
+) -> tuple[Float[Array, " 2"], Float[Array, "2 d"], Float[Array, "2 1+q"]]:
+    """An observable of a flow, and its rate along the motion; derivatives of both in the state; in time and parameters.
+
+    Args:
+        name: of the observable (`systems.observables`).
+    """
+    at = jnp.stack([jnp.asarray(x, u.dtype) for x in (t, *(p[key] for key in names))])
+
+    def both(u: Array, at: Array) -> Array:
+        own = {**p, **{key: at[1 + k] for k, key in enumerate(names)}}
+
+        def height(u: Array, t: Array) -> Array:
+            return observable(flow, name, t, flow.chart.state(u), own)
+
+        rate, values = _rate_and_values(flow, u, at[0], own, names)
+        return jnp.stack(jax.jvp(height, (u, at[0]), (rate(u, values), jnp.ones_like(at[0]))))
+
+    return both(u, at), *jax.jacfwd(both, (0, 1))(u, at)
 
 
 class EigenvectorRates(NamedTuple):

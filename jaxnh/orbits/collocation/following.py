@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.orbits.collocation.cycle_equations import CollocationEquations, CyclePoint
+from jaxnh.orbits.collocation.cycle_equations import CollocationEquations, CycleConditions, CyclePoint, Ends
 from jaxnh.orbits.collocation.equations import Problem
 from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.core import Solution
@@ -42,22 +42,24 @@ def follow_cycles(
     problem: Problem,
     begun: CyclePoint,
     lift: Float[np.ndarray, " d"],
-    ends: tuple[float, float],
+    ends: Ends,
     steps: StepControl,
     begin: int = START,
+    conditions: CycleConditions | None = None,
 ) -> CycleBranch:
     """The branch from a cycle in the direction of its point, to where it ends.
 
     Args:
-        problem: the field, with one parameter.
+        problem: the field, with one parameter, or with conditions more.
         begun: the first point.
         lift: of the end of an orbit over its beginning.
-        ends: of the range of the parameter, the lower one first.
+        ends: of the ranges of the last parameters, the lower ones first.
         steps: how long steps are, and how many there may be.
         begin: why the branch begins there.
+        conditions: on cycles, beside what they are.
     """
     points = [begun]
-    equations = CollocationEquations(problem, begun.solution, lift, ends, points)
+    equations = CollocationEquations(problem, begun.solution, lift, ends, points, conditions)
     path = _path(equations, core.correct(equations, *equations.of_point(begun), np.inf), steps)
     while True:
         end, n = _steps(path, equations, points), _intervals(points[-1])

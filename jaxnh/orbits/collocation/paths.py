@@ -121,6 +121,25 @@ def on_mesh(path: PiecewisePath, mesh: Float[np.ndarray, "lanes k+1"]) -> Piecew
     return PiecewisePath(mesh, ends, stages)
 
 
+def rotated(path: PiecewisePath, share: float, mesh: Float[np.ndarray, " k+1"]) -> PiecewisePath:
+    """A closed path of one lane from another of its places on, over a mesh that begins there.
+
+    Args:
+        path: from a state to the same, or one that lies whole turns of angles further.
+        share: the place, in [0, 1).
+        mesh: places after it, from 0 to 1.
+    """
+    lift = path.ends[0, -1] - path.ends[0, 0]
+
+    def states(places: np.ndarray) -> np.ndarray:
+        turns = np.floor(share + places)
+        return values_at(path, (share + places - turns)[None])[0] + turns[:, None] * lift
+
+    inside = _places(mesh[None], path.stages.shape[2])[0]
+    stages = states(inside.ravel()).reshape(1, *inside.shape, -1)
+    return PiecewisePath(mesh[None], states(mesh)[None], stages)
+
+
 def path_through(
     times: Float[np.ndarray, " k"], states: Float[np.ndarray, "k d"], n: int, m: int = DEGREE
 ) -> tuple[PiecewisePath, float]:

@@ -1,0 +1,265 @@
+"""Curves of cycles that keep a condition, against closed forms: amplitude, duration, grazing, and where they end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk
+
+import jaxnh
+from jaxnh.analyses.continuation.condition_curves import CONDITIONS
+from jaxnh.exceptions import ConfigError
+from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.orbits.continuation.paths import BEYOND, ENDS, RANGE
+from tests.helpers import contract
+from tests.helpers.kept_programs import session_of
+
+HOPF = """
+def system(mu=0.5, nu=1.0):
+    def rhs(state, t):
+        x, y = state
+        growth = mu - nu * (x * x + y * y)
+        return growth * x - 2.0 * y, growth * y + 2.0 * x
+
+    def height(state, t):
+        return 0.6 * state[0] + 0.8 * state[1]
+
+    return {"rhs": rhs, "coordinates": ("x", "y"), "observables": {"height": height}}
+"""
+
+PUMPED_DUFFING = """
+def system(energy=0.5, alpha=1.0):
+    def rhs(state, t):
+        x, v = state
+        own = v * v / 2 + x * x / 2 + alpha * x**4 / 4
+        return v, -x - alpha * x**3 + 0.5 * (energy - own) * v
+
+    return {"rhs": rhs, "coordinates": ("x", "v")}
+"""
+
+WALL = 'lambda y, t: y[0] - 1.0, "then": lambda y, t: (y[0], -0.8 * y[1])'
+IMPACT = """
+import jax.numpy as jnp
+
+
+def system(force=0.3, zeta=0.1, omega=0.8):
+    def rhs(y, t, side=None):
+        x, v = y
+        return v, force * jnp.cos(omega * t) - 2 * zeta * v - x
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / omega, EVENTS}
+"""
+OSCILLATOR = IMPACT.replace(", EVENTS", "")
+DUFFING = OSCILLATOR.replace("- x", "- x - x**3")
+UP = "section: {coordinate: y, value: 0.0, direction: up}\n"
+HOPF_SWEEP = "mu: {start: 0.3, stop: 0.7, count: 3}, nu: {start: 0.8, stop: 1.2, count: 2}"
+IMPACT_SWEEP = "force: {start: 0.2, stop: 0.8, count: 3}, zeta: {start: 0.05, stop: 0.3, count: 2}"
+
+
+def curves_of(folder, text, initial, sweep, options, section="", max_period=1):
+    """A session that asks for `curves` of a system in a file."""
+    (folder / "flow.py").write_text(text)
+    (folder / "flow.yaml").write_text(
+        f"system: {{file: flow.py}}\ninitial: {initial}\nsweep: {{{sweep}}}\n{section}accuracy: {{target: 1.0e-6}}\n"
+        f"analyses: {{curves: {{max_period: {max_period}, transient: 32, bifurcations: false, {options}}}}}\n"
+    )
+    return session_of(jaxnh.load(folder / "flow.yaml"))
+
+
+def data_of(session):
+    tree = session.tree()
+    data = tree["curves"].to_dataset()
+    contract.check("curves", data, ("mu", "nu", "energy", "alpha", "force", "zeta", "omega", "tilt", "t", "duration"))
+    jaxnh.figure(tree)
+    return data
+
+
+def points_of(data, k, *names):
+    """Both parameters of a curve, and their errors."""
+    known = np.isfinite(data[names[0]].values[k])
+    return *(data[name].values[k][known] for name in names), *(data[f"{name}_error"].values[k][known] for name in names)
+
+
+def kinds_of(data):
+    return [(*KINDS, *CONDITIONS)[kind] for kind in data["kind"].values]
+
+
+def test_amplitudes_of_hopfs_normal_form(tmp_path):
+    """The radius is √(μ/ν), which any function of length one has as its largest value: straight lines μ = c² ν."""
+    options = "n_values: 1, ds_max: 0.2, maximum: {height: 0.7}, minimum: {y: -0.75}"
+    data = data_of(curves_of(tmp_path, HOPF, "{x: 0.5}", HOPF_SWEEP, options, UP))
+    assert kinds_of(data) == ["maximum", "minimum"]
+    assert data["condition"].values.tolist() == ["maximum of height = 0.7", "minimum of y = -0.75"]
+    assert data["begins"].values.tolist() == data["ends"].values.tolist() == [RANGE, RANGE]
+    for k, level in enumerate((0.7, 0.75)):
+        mu, nu, mu_error, nu_error = points_of(data, k, "mu", "nu")
+        assert np.all(np.abs(mu - level**2 * nu) <= mu_error + level**2 * nu_error)
+        assert max(mu_error.max(), nu_error.max()) < 1e-8
+        assert (nu.min(), nu.max()) == pytest.approx((0.8, 1.2))
+    multipliers = data["multipliers"].values[0, : len(points_of(data, 0, "mu")[0]), 0, 0]
+    mu = points_of(data, 0, "mu")[0]
+    assert multipliers == pytest.approx(np.exp(-2 * mu * np.pi), abs=1e-6)
+    assert np.nanmax(np.abs(data["duration"].values - np.pi)) < 1e-9
+    assert "warnings" not in data.attrs
+
+
+@pytest.mark.slow
+def test_backbone_of_duffings_oscillator(tmp_path):
+    """Cycles at the energy E of x″ + x + αx³ = 0, which a pump there leaves as they are, take 4K(m)/√(1 + αA²).
+
+    A is the amplitude, m = αA²/(2 + 2αA²) (Kovacic and Brennan, The Duffing Equation, 2011).
+    """
+    sweep = "energy: {start: 0.2, stop: 2.0, count: 3}, alpha: {start: 0.2, stop: 2.0, count: 3}"
+    section = UP.replace("coordinate: y", "coordinate: x")
+    options = "n_values: 2, ds_max: 0.1, duration: 5.0"
+    data = data_of(curves_of(tmp_path, PUMPED_DUFFING, "{x: 0.5, v: 0.5}", sweep, options, section))
+    assert kinds_of(data) == ["duration"]
+    energy, alpha, energy_error, alpha_error = points_of(data, 0, "energy", "alpha")
+
+    def duration(energy, alpha):
+        square = (np.sqrt(1 + 4 * alpha * energy) - 1) / alpha
+        return 4 / np.sqrt(1 + alpha * square) * ellipk(alpha * square / (2 + 2 * alpha * square))
+
+    shift = 1e-6
+    slopes = [
+        np.abs(duration(energy + de, alpha + da) - duration(energy - de, alpha - da)) / (2 * shift)
+        for de, da in ((shift, 0.0), (0.0, shift))
+    ]
+    gap = np.abs(duration(energy, alpha) - 5.0)
+    assert np.all(gap <= slopes[0] * energy_error + slopes[1] * alpha_error + 1e-14)
+    assert max(energy_error.max(), alpha_error.max()) < 1e-7
+    assert np.ptp(alpha) > 1.0
+    assert np.nanmax(np.abs(data["duration"].values - 5.0)) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["jump", "falling", "switch"])
+def test_grazing_of_the_impact_oscillator(tmp_path, kind):
+    """Before it touches, x″ + 2ζx′ + x = F cos ωt has the amplitude F/√((1 − ω²)² + 4ζ²ω²): that of the wall, here 1."""
+    events = {
+        "jump": f'"jumps": [{{"when": {WALL}}}]',
+        "falling": '"jumps": [{"when": lambda y, t: 1.0 - y[0], "direction": "down", "then": lambda y, t: (y[0], -y[1])}]',
+        "switch": '"switches": [{"on": lambda y, t: y[0] - 1.0}]',
+    }[kind]
+    text = IMPACT.replace("EVENTS", events)
+    data = data_of(curves_of(tmp_path, text, "{x: 0.1}", IMPACT_SWEEP, "n_values: 2, ds_max: 0.1, grazing: true"))
+    assert kinds_of(data) == ["grazing"]
+    assert data["condition"].values[0].startswith("grazing of ")
+    holds_for_the_oscillator(data)
+
+
+def holds_for_the_oscillator(data):
+    force, zeta, force_error, zeta_error = points_of(data, 0, "force", "zeta")
+    exact = np.hypot(1 - 0.64, 1.6 * zeta)
+    assert np.all(np.abs(force - exact) <= force_error + 1.6 * zeta_error)
+    assert max(force_error.max(), zeta_error.max()) < 1e-8
+    assert (zeta.min(), zeta.max()) == pytest.approx((0.05, 0.3))
+
+
+def test_grazing_with_a_second_wall(tmp_path):
+    """The wall at −0.9 is met before that at 1: the first one grazed is the only curve, and is 0.9 times the other."""
+    second = '{"when": lambda y, t: y[0] + 0.9, "direction": "down", "then": lambda y, t: (y[0], -y[1])}'
+    text = IMPACT.replace("EVENTS", f'"jumps": [{{"when": {WALL}}}, {second}]')
+    data = data_of(curves_of(tmp_path, text, "{x: 0.1}", IMPACT_SWEEP, "n_values: 1, ds_max: 0.2, grazing: true"))
+    assert data["condition"].values.tolist() == ["grazing of jumps[1]"]
+    force, zeta, force_error, zeta_error = points_of(data, 0, "force", "zeta")
+    exact = 0.9 * np.hypot(1 - 0.64, 1.6 * zeta)
+    assert np.all(np.abs(force - exact) <= force_error + 1.6 * zeta_error)
+
+
+@pytest.mark.slow
+def test_resonance_curve_over_the_drives_frequency(tmp_path):
+    """Where the linear oscillator's velocity has an amplitude of 0.7: over ω, which its period depends on."""
+    sweep = "omega: {start: 0.5, stop: 1.5, count: 2}, force: {start: 0.1, stop: 1.2, count: 3}"
+    text = OSCILLATOR.replace("zeta=0.1", "zeta=0.15")
+    data = data_of(curves_of(tmp_path, text, "{x: 0.1}", sweep, "n_values: 3, ds_max: 0.1, maximum: {v: 0.7}"))
+    assert kinds_of(data) == ["maximum"]
+    omega, force, omega_error, force_error = points_of(data, 0, "omega", "force")
+
+    def exact(omega):
+        return 0.7 * np.hypot(1 - omega**2, 0.3 * omega) / omega
+
+    slope = np.abs(exact(omega + 1e-6) - exact(omega - 1e-6)) / 2e-6
+    assert np.all(np.abs(force - exact(omega)) <= force_error + slope * omega_error + 1e-14)
+    assert (omega.min(), omega.max()) == pytest.approx((0.5, 1.5))
+    assert "duration" not in data
+
+
+@pytest.mark.slow
+def test_largest_displacement_of_duffings_oscillator(tmp_path):
+    """Points of a curve against DOP853 over sixty periods, which leaves 1e-11 and finds the extremum by v = 0."""
+    sweep = "force: {start: 0.2, stop: 0.8, count: 3}, zeta: {start: 0.15, stop: 0.3, count: 2}"
+    data = data_of(curves_of(tmp_path, DUFFING, "{x: 0.1}", sweep, "n_values: 2, ds_max: 0.1, maximum: {x: 0.6}"))
+    force, zeta, force_error, zeta_error = points_of(data, 0, "force", "zeta")
+    for k in (0, len(force) // 2, len(force) - 1):
+
+        def rates(t, y, k=k):
+            return [y[1], force[k] * np.cos(0.8 * t) - 2 * zeta[k] * y[1] - y[0] - y[0] ** 3]
+
+        def turns(t, y):
+            return y[1]
+
+        turns.direction = -1
+        span = (0.0, 60 * 2 * np.pi / 0.8)
+        path = solve_ivp(rates, span, [0.6, 0.0], "DOP853", rtol=1e-12, atol=1e-13, events=turns)
+        last = path.t_events[0] > span[1] - 2 * np.pi / 0.8
+        assert abs(path.y_events[0][last, 0].max() - 0.6) < 1e-9
+    assert max(force_error.max(), zeta_error.max()) < 1e-8
+
+
+TWO_PEAKS = """
+def system(mu=0.5, tilt=0.0):
+    def rhs(state, t):
+        x, y = state
+        growth = 1.0 - x * x - y * y
+        return growth * x - 2.0 * y, growth * y + 2.0 * x
+
+    def height(state, t):
+        x, y = state
+        return mu * (x * x - y * y) / (x * x + y * y) + tilt * x
+
+    return {"rhs": rhs, "coordinates": ("x", "y"), "observables": {"height": height}}
+"""
+
+
+@pytest.mark.slow
+def test_a_curve_ends_where_another_part_goes_beyond_the_level(tmp_path):
+    """μ cos 2φ + tilt cos φ along r = 1 is largest at φ = 0 with tilt above zero: μ + tilt; below it is at φ = π."""
+    sweep = "mu: {start: 0.2, stop: 1.2, count: 2}, tilt: {start: -0.3, stop: 0.3, count: 2}"
+    options = "n_values: 2, ds_max: 0.05, maximum: {height: 0.8}"
+    data = data_of(curves_of(tmp_path, TWO_PEAKS, "{x: 0.9}", sweep, options, UP))
+    assert kinds_of(data) == ["maximum", "maximum"]
+    for k in range(2):
+        mu, tilt, mu_error, tilt_error = points_of(data, k, "mu", "tilt")
+        assert np.all(np.abs(mu + np.abs(tilt) - 0.8) <= mu_error + tilt_error + 1e-3 * (np.abs(tilt) < 1e-3))
+        assert {ENDS[int(data[end][k])] for end in ("begins", "ends")} == {"range", "beyond"}
+        assert np.abs(tilt).min() < 0.05
+    assert BEYOND in data["ends"].values.tolist() + data["begins"].values.tolist()
+
+
+def test_what_is_not_met_is_said(tmp_path):
+    """No curve, and a line for each condition."""
+    data = curves_of(tmp_path, HOPF, "{x: 0.5}", HOPF_SWEEP, "n_values: 1, maximum: {x: 3.0}, duration: 9.0", UP)
+    said = data.tree()["curves"].attrs["warnings"].splitlines()
+    assert said == [
+        "curves: there is no cycle with duration = 9 to follow over mu and nu",
+        "curves: there is no cycle with maximum of x = 3 to follow over mu and nu",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "section", "options", "max_period", "message"),
+    [
+        (HOPF, UP, "grazing: true", 1, "there is no jump and no switch to graze"),
+        (HOPF, UP, "maximum: {z: 1.0}", 1, "there is no observable z; known are x, y, height"),
+        (HOPF, UP, "n_values: 1", 1, "then nothing is left to follow"),
+        (HOPF, UP, "duration: 5.0", 0, "give a max_period of 1 or more"),
+        (IMPACT, "", "duration: 5.0", 1, "collocation is of smooth motions, without jumps or switches"),
+        (OSCILLATOR, "", "duration: 5.0", 1, "with a clock orbits take whole periods of it"),
+    ],
+)
+def test_conditions_that_make_no_sense(tmp_path, text, section, options, max_period, message):
+    text, sweep = text.replace("EVENTS", f'"jumps": [{{"when": {WALL}}}]'), HOPF_SWEEP if section else IMPACT_SWEEP
+    with pytest.raises(ConfigError, match=message):
+        curves_of(tmp_path, text, "{x: 0.5}", sweep, options, section, max_period).experiment.requested()
