@@ -8,7 +8,6 @@ settle on there (`branches`). All curves of one kind and period are then followe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,14 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.cycle_curves import cycle_seeds
 from jaxnh.analyses.continuation.equilibria import check_equilibria, section_plane
 from jaxnh.analyses.continuation.equilibrium_curves import EquilibriumCurves, equilibrium_curves, rounding_errors
-from jaxnh.analyses.continuation.families import check_plane, orbit_family, parameter_plane, step_control
+from jaxnh.analyses.continuation.families import (
+    check_plane,
+    lanes_along,
+    orbit_family,
+    parameter_plane,
+    step_control,
+    values_searched,
+)
 from jaxnh.analyses.continuation.family_tree import grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.continuation.tables import special_kinds, special_values
@@ -116,11 +122,7 @@ def run(options: CurvesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
 def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `curves` and `codimension_two`."""
     (first, second), [(_, row)] = sweep.axes, sweep.rows
-    sampled = np.unique(
-        np.linspace(0, len(second.values) - 1, min(options.n_values, len(second.values))).round().astype(int)
-    )
-    chosen = np.unique(second.values[sampled])
-    batches = [_lanes_at(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
+    batches = [lanes_along(row, first, second, value) for value in values_searched(second, options.n_values).tolist()]
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
     names, followed, still = (first.name, second.name), _CurveSet([], [], []), None
     if options.equilibria:
@@ -198,12 +200,6 @@ def _joined(one: _CurveSet, other: _CurveSet) -> _CurveSet:
     first = len(one.curves)
     special = [point._replace(curve=first + point.curve) for point in other.special]
     return _CurveSet([*one.curves, *other.curves], [*one.errors, *other.errors], [*one.special, *special])
-
-
-def _lanes_at(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
-    """The lanes along the first axis at a value of the second."""
-    batch = row.take(lanes)
-    return replace(batch, axis=replace(first, values=batch.p[first.name]))
 
 
 def _follow_curves(

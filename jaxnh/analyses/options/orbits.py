@@ -131,8 +131,12 @@ class CurvesOptions(Continuation):
 class HomoclinicOptions(Continuation):
     """Options of `homoclinic`."""
 
-    in_time: ClassVar[bool] = True
     newton: ClassVar[bool] = True
+
+    @property
+    def in_time(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Return whether manifolds alone are followed: cycles are looked for on a section."""
+        return not self.cycles
 
     n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles at each value searched")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
@@ -145,6 +149,13 @@ class HomoclinicOptions(Continuation):
     duration: float = Field(default=100.0, gt=0, description="Time for which manifolds of saddles are followed there")
     pulses: int = Field(
         default=1, ge=1, le=8, description="Passages of a saddle that are looked at: orbits return at the last one"
+    )
+    cycles: int | None = Field(
+        default=None,
+        ge=1,
+        le=64,
+        description="Largest number of returns to the section of cycles that are followed over the first axis to where "
+        "their time has no end; by default none are",
     )
     max_steps: int = Field(default=200, ge=2, description="Points of a curve to either side of its first, at most")
 
