@@ -48,6 +48,7 @@ OPTIONS = {
     "branches": {"max_period": 2, "transient": 64},
     "curves": {"max_period": 2, "transient": 64},
     "homoclinic": {"box": {"u": (-1.0, 1.0)}},
+    "atlas": {"max_period": 2, "transient": 64, "n_values": 2, "levels": 0},
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
     "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256, "averages": True},
@@ -439,6 +440,31 @@ def straight_curve(data, groups):
     assert groups["codimension_two"].sizes["codimension_two"] == 0
 
 
+def linked_curve(data, groups):
+    """The same, with the doubling of either row on it, and its orbit at the origin; one window to either side of it."""
+    straight_curve(groups["curves"], groups)
+    assert data["nu"].to_numpy().tolist() == [-0.02, 0.02]
+    points = groups["bifurcations"]
+    assert np.abs(points["mu"] - points["nu"]).max() < CLOSE
+    assert points["curve"].to_numpy().tolist() == [0, 0]
+    assert points["nu"].to_numpy().tolist() == [-0.02, 0.02]
+    rows = groups["branches"]["nu"].to_numpy()
+    assert rows[points["branch"].to_numpy()].tolist() == [-0.02, 0.02]
+    assert np.nanmax(np.abs(groups["curve_orbits"]["u_points"])) < CLOSE
+    windows = groups["windows"]
+    assert windows["nu"].to_numpy().tolist() == [-0.02, 0.02]
+    assert np.abs(windows["end"] - windows["nu"]).max() < CLOSE
+    assert "periods up to 2" in data.attrs["complete_to"]
+
+
+def nothing_along_rows(data, groups):
+    """Branches of both rows, and no curve."""
+    no_curve(groups["curves"], groups)
+    assert data["bifurcations"].to_numpy().tolist() == [0, 0]
+    assert np.all(data["branches"] > 0)
+    assert int(data["curves"]) == int(data["cut"]) == 0
+
+
 def no_curve(data, groups):
     """None: the period decides no multiplier, so that nothing happens along ω at any μ."""
     assert data.sizes["curve"] == groups["codimension_two"].sizes["codimension_two"] == 0
@@ -532,6 +558,7 @@ MOEBIUS = {
     "windows": one_window("mu", "period_doubling", zero),
     "branches": branches([1, 2], "mu", zero),
     "curves": ONE_PARAMETER.format("mu"),
+    "atlas": ONE_PARAMETER.format("mu"),
     "homoclinic": NO_EQUILIBRIA,
     "basins": one_attractor,
     "reversal": NO_REVERSAL,
@@ -587,6 +614,7 @@ def particle(names, rates=paper_equations.at_speed):
         "windows": one_window("b", "period_doubling", first_doubling),
         "branches": branches([1, 2], "b", first_doubling),
         "curves": ONE_PARAMETER.format("b"),
+        "atlas": ONE_PARAMETER.format("b"),
         "homoclinic": NO_EQUILIBRIA,
         "basins": one_attractor,
         "reversal": repellers("dissipative"),
@@ -647,6 +675,7 @@ KINDS = {
             "windows": "windows are looked for along one axis; leave out nu",
             "branches": "branches are followed along one axis; leave out nu",
             "curves": straight_curve,
+            "atlas": linked_curve,
         },
         moebius.MOEBIUS,
     ),
@@ -660,6 +689,7 @@ KINDS = {
             "windows": "windows are looked for along one axis; leave out mu",
             "branches": "branches are followed along one axis; leave out mu",
             "curves": no_curve,
+            "atlas": nothing_along_rows,
         },
         moebius.MOEBIUS,
     ),
@@ -683,6 +713,7 @@ KINDS = {
             "windows": "u is a coordinate of the start state",
             "branches": "u is a coordinate of the start state",
             "curves": ONE_PARAMETER.format("u"),
+            "atlas": ONE_PARAMETER.format("u"),
             "homoclinic": NO_EQUILIBRIA,
         },
         moebius.MOEBIUS,
@@ -737,6 +768,7 @@ KINDS = {
             "windows": one_window("damping", "range", None),
             "branches": branches([1], "damping"),
             "curves": ONE_PARAMETER.format("damping"),
+            "atlas": ONE_PARAMETER.format("damping"),
             "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
@@ -774,6 +806,7 @@ KINDS = {
             "windows": one_window("damping", "range", None),
             "branches": branches([1], "damping"),
             "curves": ONE_PARAMETER.format("damping"),
+            "atlas": ONE_PARAMETER.format("damping"),
             "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
@@ -818,6 +851,7 @@ KINDS = {
             "windows": one_window("mu", "range", None),
             "branches": branches([1], "mu"),
             "curves": ONE_PARAMETER.format("mu"),
+            "atlas": ONE_PARAMETER.format("mu"),
             "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
@@ -851,6 +885,7 @@ KINDS = {
             "windows": one_window("b", "range", None),
             "branches": branches([1], "b"),
             "curves": ONE_PARAMETER.format("b"),
+            "atlas": ONE_PARAMETER.format("b"),
             "homoclinic": NO_EQUILIBRIA,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
@@ -884,6 +919,7 @@ KINDS = {
             "windows": no_row,
             "branches": no_row,
             "curves": ONE_PARAMETER.format("b"),
+            "atlas": ONE_PARAMETER.format("b"),
             "homoclinic": SADDLES_OVER_ONE.format("b"),
             "basins": nothing_periodic,
             "reversal": repellers("conservative", "undecided"),

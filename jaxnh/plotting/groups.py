@@ -155,3 +155,21 @@ def same_lanes(one: xr.Dataset, other: xr.Dataset) -> bool:
     """Return whether two groups are of the same lanes."""
     axes = axes_of(one)
     return axes == axes_of(other) and all(one[name].equals(other[name]) for name in axes)
+
+
+def row_values(data: xr.Dataset) -> list[float]:
+    """Values of the second axis where branches or windows of a plane were followed; none of those over one axis."""
+    name = str(data.attrs.get("rows", ""))
+    return np.unique(data[name].to_numpy()).tolist() if name in data else []
+
+
+def in_row(data: xr.Dataset, value: float) -> xr.Dataset:
+    """The group with numbers of one row alone, NaN in place of others; as it is where it has no rows."""
+    name = str(data.attrs.get("rows", ""))
+    if name not in data:
+        return data
+    here = data[name] == value
+    numbers = [item for item in data.data_vars.values() if item.dtype.kind == "f" and here.dims[0] in item.dims]
+    masked = data.assign({str(item.name): item.where(here) for item in numbers})
+    attrs = {key: text for key, text in data.attrs.items() if key != "rows"}
+    return masked.drop_attrs(deep=False).assign_attrs(attrs | {"row": f"{name} = {value:g}"})

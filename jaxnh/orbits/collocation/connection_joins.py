@@ -54,7 +54,8 @@ def _ends(curve: ConnectionCurve) -> tuple[Connection, Connection]:
 
 
 def _reversed(curve: ConnectionCurve) -> ConnectionCurve:
-    return ConnectionCurve([reversed_stretch(stretch) for stretch in curve.stretches[::-1]], curve.ends[::-1])
+    first, last = curve.ends
+    return ConnectionCurve([reversed_stretch(stretch) for stretch in curve.stretches[::-1]], (last, first))
 
 
 def _from_place(curve: ConnectionCurve, place: _Place, orbit: Connection) -> list[Stretch]:

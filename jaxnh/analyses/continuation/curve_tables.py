@@ -1,0 +1,150 @@
+"""The groups `curves` and `codimension_two`: variables over curves and their points, and over points on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from jaxnh.analyses.base import Entry, Table, flag, variable
+from jaxnh.analyses.batch import Axis, LaneBatch, iterate_units
+from jaxnh.analyses.continuation.tables import period_variable, special_kinds, special_values
+from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special
+from jaxnh.orbits.bifurcations.equilibrium_forms import COUNT, TERMS
+from jaxnh.orbits.continuation.curves import Curve
+from jaxnh.orbits.continuation.kinds import KINDS
+from jaxnh.orbits.continuation.paths import ENDS
+
+
+class CurvePoint(NamedTuple):
+    """A point of codimension two, the number of its curve, and errors of both parameters.
+
+    Of equilibria the coefficients of its normal form as well.
+    """
+
+    curve: int
+    point: Special
+    error: Float[np.ndarray, " 2"]
+    coefficients: Float[np.ndarray, " 4"] | None = None
+
+
+class CurveSet(NamedTuple):
+    """Curves, errors of both parameters at their points, and points of codimension two."""
+
+    curves: list[Curve]
+    errors: list[Float[np.ndarray, "k 2"]]
+    special: list[CurvePoint]
+
+
+def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, limit: int) -> xr.Dataset:
+    """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
+    curves, errors, special = followed
+    shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
+
+    def table(values: Sequence[np.ndarray], *more: int) -> np.ndarray:
+        filled = np.full((*shape, *more), np.nan)
+        for k, one in enumerate(values):
+            filled[(k, *map(slice, one.shape))] = one
+        return filled
+
+    dims, d = ("curve", "point"), _dimension(batch, curves)
+    multipliers = [np.stack([np.real(curve.multipliers), np.imag(curve.multipliers)], axis=-1) for curve in curves]
+    columns: dict[str, Entry] = {}
+    for k, axis in enumerate(axes):
+        columns[axis.name] = variable(dims, table([curve.values[:, k] for curve in curves]), axis.long_name, axis.units)
+        words = f"error of {axis.name}: a point of the exact curve is as near in both parameters"
+        columns[f"{axis.name}_error"] = variable(dims, table([error[:, k] for error in errors]), words, axis.units)
+        words = f"{axis.long_name} at the point of codimension two"
+        columns |= _at_special(f"codimension_two_{axis.name}", axis, k, special, words)
+    filled = {
+        **columns,
+        "kind": flag("curve", [curve.kind for curve in curves], "kind of bifurcation", KINDS),
+        "period": period_variable(("curve",), [curve.period for curve in curves], iterate_units(batch.system)),
+        "multipliers": variable((*dims, "multiplier", "part"), table(multipliers, d, 2), _multiplier_words(curves)),
+        "begins": flag("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
+        "ends": flag("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
+        **_kind_and_curve("codimension_two_", special),
+    }
+    names = " ".join(axis.name for axis in axes)
+    attrs = {"limit": limit, "over": names}
+    if not curves:
+        attrs["warnings"] = f"curves: there is no bifurcation to follow over {names.replace(' ', ' and ')}"
+    return xr.Dataset(filled, attrs=attrs)
+
+
+def _dimension(batch: LaneBatch, curves: Sequence[Curve]) -> int:
+    """Most multipliers of an orbit, or eigenvalues of an equilibrium."""
+    return max([batch.chart.dimension, *(curve.multipliers.shape[1] for curve in curves)])
+
+
+def _multiplier_words(curves: Sequence[Curve]) -> str:
+    words = "Floquet multipliers, real and imaginary part"
+    return words + "; of an equilibrium eigenvalues" if any(curve.equilibria for curve in curves) else words
+
+
+def special_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet) -> xr.Dataset:
+    """Variables over (codimension_two,): the points of codimension two, each with its curve and its multipliers."""
+    curves, _, special = followed
+    multipliers = np.full((len(special), _dimension(batch, curves), 2), np.nan)
+    for k, (_, point, *_) in enumerate(special):
+        values = point.multipliers
+        multipliers[k, : len(values)] = np.stack([np.real(values), np.imag(values)], axis=-1)
+    periods = [curves[point.curve].period for point in special]
+    variables = {
+        **_kind_and_curve("", special),
+        "period": period_variable(("codimension_two",), periods, iterate_units(batch.system)),
+        "multipliers": variable(("codimension_two", "multiplier", "part"), multipliers, _multiplier_words(curves)),
+    }
+    for k, axis in enumerate(axes):
+        variables |= _at_special(axis.name, axis, k, special, axis.long_name)
+    if any(curve.equilibria for curve in curves):
+        variables |= _of_points(batch, special)
+    names = " ".join(axis.name for axis in axes)
+    return xr.Dataset(variables, attrs={"over": names})
+
+
+def _of_points(batch: LaneBatch, special: Sequence[CurvePoint]) -> dict[str, Entry]:
+    """Coordinates and normal forms of equilibria at points of codimension two; NaN of orbits."""
+    dim, flow = "codimension_two", batch.flow
+    none = np.full((len(special), COUNT), np.nan)
+    coefficients = np.array([none[0] if one.coefficients is None else one.coefficients for one in special])
+    forms = "; ".join(f"{POINTS[kind]}: {form}: {names}" for kind, (form, names) in TERMS.items())
+    variables = {
+        "coefficients": variable(
+            (dim, "coefficient"),
+            coefficients.reshape(none.shape),
+            "coefficients of the normal form",
+            normal_forms=forms,
+        )
+    }
+    for k, name in enumerate(flow.coordinates):
+        values = [np.nan if one.coefficients is None else float(one.point.points[0, k]) for one in special]
+        variables[name] = variable(dim, np.array(values), f"{flow.labels.long_names[name]} of the equilibrium")
+    return variables
+
+
+def _kind_and_curve(before: str, special: Sequence[CurvePoint]) -> dict[str, Entry]:
+    return special_kinds(before, [one.point.kind for one in special], [one.curve for one in special], POINTS)
+
+
+def _at_special(name: str, axis: Axis, k: int, special: Sequence[CurvePoint], words: str) -> dict[str, Entry]:
+    values, errors = [one.point.values[k] for one in special], [one.error[k] for one in special]
+    return special_values(name, axis, values, errors, words, "; NaN where finer maps do not have the point")
+
+
+def curves_table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
+    """A row a point of codimension two."""
+    first, second = str(data.attrs["over"]).split()
+    rows = []
+    for k in range(data.sizes["codimension_two"]):
+        curve = int(data["codimension_two_curve"][k])
+        kind, period = KINDS[int(data["kind"][curve])], int(data["period"][curve]) or "of equilibria"
+        at = (
+            f"{float(data[f'codimension_two_{name}'][k]):.9g} ± {float(data[f'codimension_two_{name}_error'][k]):.1g}"
+            for name in (first, second)
+        )
+        rows.append((POINTS[int(data["codimension_two_kind"][k])], f"{kind} {period}", *at))
+    return Table("Points of codimension two", ("point", "on the curve of", first, second), tuple(rows), left=(0, 1))
