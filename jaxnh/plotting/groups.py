@@ -157,19 +157,23 @@ def same_lanes(one: xr.Dataset, other: xr.Dataset) -> bool:
     return axes == axes_of(other) and all(one[name].equals(other[name]) for name in axes)
 
 
-def row_values(data: xr.Dataset) -> list[float]:
-    """Values of the second axis where branches or windows of a plane were followed; none of those over one axis."""
-    name = str(data.attrs.get("rows", ""))
-    return np.unique(data[name].to_numpy()).tolist() if name in data else []
+def row_numbers(data: xr.Dataset) -> list[int]:
+    """Numbers of the rows of a plane that branches or windows were followed along; none of those over one axis."""
+    return np.unique(data["row"].to_numpy()).tolist() if "row" in data.data_vars else []
 
 
-def in_row(data: xr.Dataset, value: float) -> xr.Dataset:
-    """The group with numbers of one row alone, NaN in place of others; as it is where it has no rows."""
-    name = str(data.attrs.get("rows", ""))
-    if name not in data:
+def in_row(data: xr.Dataset, number: int) -> xr.Dataset:
+    """The group with what is of one row alone; as it is where it has no rows.
+
+    Branches keep their numbers, which bifurcations name: those of other rows have NaN in place of numbers.
+    """
+    if not row_numbers(data):
         return data
-    here = data[name] == value
-    numbers = [item for item in data.data_vars.values() if item.dtype.kind == "f" and here.dims[0] in item.dims]
-    masked = data.assign({str(item.name): item.where(here) for item in numbers})
-    attrs = {key: text for key, text in data.attrs.items() if key != "rows"}
-    return masked.drop_attrs(deep=False).assign_attrs(attrs | {"row": f"{name} = {value:g}"})
+    here, second = data["row"] == number, str(data.attrs.get("rows", ""))
+    values = data[second].to_numpy()[here.to_numpy()] if second in data else np.zeros(0)
+    if "window" in here.dims:
+        chosen = data.isel(window=np.flatnonzero(here.to_numpy())).drop_vars("row")
+    else:
+        numbers = [item for item in data.data_vars.values() if item.dtype.kind == "f" and here.dims[0] in item.dims]
+        chosen = data.drop_vars("row").assign({str(item.name): item.where(here) for item in numbers})
+    return chosen.assign_attrs({"row": f"{second} = {values[0]:g}"} if values.size else {})

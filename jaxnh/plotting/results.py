@@ -30,7 +30,7 @@ from jaxnh.plotting.groups import (
     long_axes,
     other_axes,
     places_of,
-    row_values,
+    row_numbers,
     same_lanes,
     same_plane,
     variables_of,
@@ -226,10 +226,10 @@ def _panels(name: str, data: xr.Dataset, groups: _Groups, choice: Choice) -> tup
     if kind is None:
         stated = kind_of(data)
         return [], [f"{name} is not drawn: its panel, {stated}, is of no kind known here"] if stated else []
-    if kind in (PANELS["branches"], PANELS["windows"]) and row_values(data):
+    if kind in (PANELS["branches"], PANELS["windows"]) and row_numbers(data):
         panels = list[Panel]()
-        for value in row_values(data):
-            here = {key: in_row(group, value) for key, group in groups.items()}
+        for number in row_numbers(data):
+            here = {key: in_row(group, number) for key, group in groups.items()}
             panels += _over_an_axis(name, here[name], kind, here, choice)[0]
         return panels, []
     of = _of_lanes if kind.each == "lane" else _over_an_axis

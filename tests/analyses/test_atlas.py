@@ -62,8 +62,10 @@ def test_the_hopf_curve_of_the_brusselator(tmp_path):
     branches = groups["branches"].to_dataset()
     born = branches.isel(branch=np.flatnonzero(branches["period"] == 1))
     assert sorted(set(born["a"].values)) == [0.9, 1.1]
-    assert np.all(np.nanmin(born["b"], axis=1) >= 1 + born["a"].values ** 2 - 1e-6)  # cycles are beyond, and attract
-    assert set(np.unique(born["stable"].values)) <= {-1, 1}
+    beyond = born["b"].values - (1 + born["a"].values[:, None] ** 2)
+    assert np.nanmin(beyond) >= -1e-6
+    with np.errstate(invalid="ignore"):
+        assert np.all(born["stable"].values[beyond > 1e-3] == 1)  # nearer the multiplier is one to what steps leave
     data = groups["atlas"].to_dataset()
     assert [int(data[name].sum()) for name in ("branches", "bifurcations", "windows")] == [
         groups[name].sizes[dim]
@@ -79,7 +81,7 @@ def test_the_hopf_curve_of_the_brusselator(tmp_path):
     ("analyses", "message"),
     [
         ([f"atlas: {OPTIONS}", "curves: {}"], "atlas makes the group curves itself; leave it out"),
-        ([f"atlas: {OPTIONS.replace('equilibria: 4, ', '')}"], "needs n_starts, their number"),
+        ([f"atlas: {OPTIONS.replace('equilibria: 4, ', '')}"], "needs equilibria, their number"),
         ([f"atlas: {OPTIONS.replace('u: [', 'q: [')}"], "no coordinate q"),
     ],
 )
@@ -89,5 +91,6 @@ def test_what_an_atlas_cannot_do_is_said(tmp_path, analyses, message):
 
 
 def test_an_atlas_has_two_axes(tmp_path):
+    experiment(tmp_path, f"atlas: {OPTIONS}")
     with pytest.raises(ConfigError, match="followed over two axes, and the sweep has b"):
-        jaxnh.load(experiment(tmp_path, f"atlas: {OPTIONS}")._path, ["sweep.a=null"])
+        jaxnh.load(tmp_path / "flow.yaml", ["sweep.a=null"])

@@ -17,7 +17,7 @@ def stack_rows(parts: Sequence[xr.Dataset], dim: str, second: Axis, values: Sequ
     """The datasets of all rows one after the other along a dimension, with the value of the second axis there.
 
     Shorter rows are filled up with NaN, or the first of the flags. What has not the dimension is that of the first
-    row, numbers of what was not located are summed. Lines of `warnings` say of which row they are.
+    row; numbers of what was not located are summed. Lines of `warnings` say of which row they are.
 
     Args:
         parts: one dataset a row, with the same variables.
@@ -27,7 +27,8 @@ def stack_rows(parts: Sequence[xr.Dataset], dim: str, second: Axis, values: Sequ
     """
     counts = [part.sizes[dim] for part in parts]
     stacked = {str(name): _stacked([part[str(name)] for part in parts], dim) for name in parts[0].data_vars}
-    words = f"{second.long_name} of the row"
+    words, rows = f"{second.long_name} of the row", np.repeat(np.arange(len(parts), dtype=np.int32), counts)
+    stacked["row"] = variable(dim, rows, f"number of the row, a value of {second.long_name}")
     stacked[second.name] = variable(dim, np.repeat(values, counts).astype(float), words, second.units)
     lines = [
         f"{line}, at {second.name} = {value:g}"
