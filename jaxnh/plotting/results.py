@@ -322,7 +322,7 @@ def _draw(name: str, kind: Kind, data: xr.Dataset, ax: Axes, **options: object) 
     with _of_group(name):
         ax = kind.draw(data, ax, **options)
         if row := data.attrs.get("row"):
-            ax.set_title(str(row), fontsize=8, loc="right")
+            ax.text(0.99, 0.97, str(row), fontsize=8, transform=ax.transAxes, ha="right", va="top")
         return ax
 
 

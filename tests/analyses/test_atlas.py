@@ -11,6 +11,7 @@ from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.continuation.kinds import KINDS
 from tests.helpers import contract
 from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
+from tests.helpers.paths import ROOT
 
 BRUSSELATOR = """\
 def system(a=1.0, b=2.0):
@@ -75,6 +76,32 @@ def test_the_hopf_curve_of_the_brusselator(tmp_path):
     assert [row[0] for row in table.rows] == ["0.9", "1.1"]
     assert "at a = 0.9, 1.1; equilibria" in table.caption
     jaxnh.figure(groups)
+
+
+@pytest.mark.slow
+def test_the_particle_over_b_and_d():
+    """The first doublings at d = 0 and 0.1 are those of Tables 1 and 2, by splittings; one curve goes through each."""
+    settings = [
+        "sweep.b.count=9",
+        "sweep.d.count=2",
+        "analyses={atlas: {max_period: 2, transient: 256, n_values: 2, levels: 0}}",
+    ]
+    groups = session_of(jaxnh.load(ROOT / "configs/atlas_particle.yaml", settings)).tree()
+    points = groups["bifurcations"].to_dataset()
+    doublings = points.isel(bifurcation=np.flatnonzero(points["kind"] == KINDS.index("period_doubling")))
+    numbers: dict[int, list[int]] = {1: [], 2: []}
+    for row, name in enumerate(("table1", "table2")):
+        known = jaxnh.open_result(ROOT / f"results/{name}.h5")["doubling"]
+        for n in numbers:
+            here = doublings.isel(bifurcation=np.flatnonzero((doublings["row"] == row) & (doublings["period"] == n)))
+            gap = np.abs(here["b"].values - float(known["b"][n - 1]))
+            k = int(np.argmin(gap))
+            assert gap[k] <= float(here["b_error"][k]) + float(known["b_error"][n - 1])
+            numbers[n].append(int(here["curve"][k]))
+    kinds, periods = groups["curves"]["kind"].values, groups["curves"]["period"].values
+    for n, (first, second) in numbers.items():
+        assert first == second >= 0
+        assert (KINDS[kinds[first]], periods[first]) == ("period_doubling", n)
 
 
 @pytest.mark.parametrize(

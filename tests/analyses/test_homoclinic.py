@@ -192,7 +192,7 @@ def test_a_planar_loop_from_its_cycles(tmp_path):
 def test_lorenz_from_cycles_of_large_period(tmp_path):
     """ρ = 13.926557407520 at σ = 10 from the cycles that the Hopf bifurcation near 24.7 begins; cut curves are one."""
     options = "{box: {x: [-15, 15], y: [-15, 15], z: [1, 30]}, n_starts: 16, n_values: 2, cycles: 1, STEPS}"
-    options = options.replace("STEPS", "ds_max: 0.1, max_steps: 6")
+    options = options.replace("STEPS", "ds_max: 0.1, max_steps: 10")
     sweep = "{rho: {start: 13.0, stop: 26.0, count: 4}, sigma: {values: [10.0, 10.3]}}"
     section = "section: {normal: {x: 1.0, y: 1.0}, value: 14.0, direction: up}\n"
     data = from_cycles_alone(tmp_path, lorenz, "{x: 1.0, y: 1.0, z: 20.0}", sweep, options, section)
