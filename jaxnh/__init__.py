@@ -34,6 +34,7 @@ from jaxnh.exceptions import (
 )
 
 if TYPE_CHECKING:
+    from jaxnh.analyses.options import AtlasOptions as Atlas
     from jaxnh.analyses.options import BasinsOptions as Basins
     from jaxnh.analyses.options import BranchesOptions as Branches
     from jaxnh.analyses.options import Chaos01Options as Chaos01
@@ -118,6 +119,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "AccuracyError",
     "ArgumentError",
+    "Atlas",
     "Basins",
     "Branches",
     "BusyError",

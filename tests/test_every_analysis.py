@@ -48,6 +48,7 @@ OPTIONS = {
     "branches": {"max_period": 2, "transient": 64},
     "curves": {"max_period": 2, "transient": 64},
     "homoclinic": {"box": {"u": (-1.0, 1.0)}},
+    "atlas": {"max_period": 2, "transient": 64, "n_values": 2, "levels": 0},
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
     "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256, "averages": True},
@@ -429,16 +430,46 @@ def branches(periods, name, expected=None):
 
 def straight_curves(data, groups):
     """The doubling at μ = ν, of any ν, and no point of codimension two; doubled orbits of amplitude 0.3 at μ = ν + 0.09."""
+    straight(data, groups, {"period_doubling": (1, 0.0), "maximum": (2, 0.09)})
+
+
+def straight(data, groups, curves):
+    """Curves of such kinds, each of a period and at μ = ν and so much, from one end of ν to the other."""
     kinds = data["kind"].attrs["flag_meanings"].split()
-    assert [kinds[k] for k in data["kind"].to_numpy()] == ["period_doubling", "maximum"]
-    assert data["period"].to_numpy().tolist() == [1, 2]
-    for k, above in enumerate((0.0, 0.09)):
+    assert [kinds[k] for k in data["kind"].to_numpy()] == list(curves)
+    assert data["period"].to_numpy().tolist() == [period for period, _ in curves.values()]
+    for k, (_, above) in enumerate(curves.values()):
         mu, nu = (data[name].to_numpy()[k] for name in ("mu", "nu"))
         there = np.isfinite(mu)
         assert there.sum() > 5
         assert np.abs(mu - nu - above)[there].max() < CLOSE
         assert (nu[there].min(), nu[there].max()) == pytest.approx((-0.02, 0.02), abs=CLOSE)
     assert groups["codimension_two"].sizes["codimension_two"] == 0
+
+
+def linked_curve(data, groups):
+    """The doubling at μ = ν, with that of either row on it, its orbit at the origin, and one window to either side of it."""
+    straight(groups["curves"], groups, {"period_doubling": (1, 0.0)})
+    assert data["nu"].to_numpy().tolist() == [-0.02, 0.02]
+    points = groups["bifurcations"]
+    assert np.abs(points["mu"] - points["nu"]).max() < CLOSE
+    assert points["curve"].to_numpy().tolist() == [0, 0]
+    assert points["nu"].to_numpy().tolist() == [-0.02, 0.02]
+    rows = groups["branches"]["nu"].to_numpy()
+    assert rows[points["branch"].to_numpy()].tolist() == [-0.02, 0.02]
+    assert np.nanmax(np.abs(groups["curve_orbits"]["u_points"])) < CLOSE
+    windows = groups["windows"]
+    assert windows["nu"].to_numpy().tolist() == [-0.02, 0.02]
+    assert np.abs(windows["end"] - windows["nu"]).max() < CLOSE
+    assert "periods up to 2" in data.attrs["complete_to"]
+
+
+def nothing_along_rows(data, groups):
+    """Branches of both rows, and no curve."""
+    no_curve(groups["curves"], groups)
+    assert data["bifurcations"].to_numpy().tolist() == [0, 0]
+    assert np.all(data["branches"] > 0)
+    assert int(data["curves"]) == int(data["cut"]) == 0
 
 
 def no_curve(data, groups):
@@ -545,6 +576,7 @@ MOEBIUS = {
     "windows": one_window("mu", "period_doubling", zero),
     "branches": branches([1, 2], "mu", zero),
     "curves": ONE_PARAMETER.format("mu"),
+    "atlas": ONE_PARAMETER.format("mu"),
     "homoclinic": NO_EQUILIBRIA,
     "basins": one_attractor,
     "reversal": NO_REVERSAL,
@@ -600,6 +632,7 @@ def particle(names, rates=paper_equations.at_speed):
         "windows": one_window("b", "period_doubling", first_doubling),
         "branches": branches([1, 2], "b", first_doubling),
         "curves": ONE_PARAMETER.format("b"),
+        "atlas": ONE_PARAMETER.format("b"),
         "homoclinic": NO_EQUILIBRIA,
         "basins": one_attractor,
         "reversal": repellers("dissipative"),
@@ -660,6 +693,7 @@ KINDS = {
             "windows": "windows are looked for along one axis; leave out nu",
             "branches": "branches are followed along one axis; leave out nu",
             "curves": straight_curves,
+            "atlas": linked_curve,
         },
         moebius.MOEBIUS,
         {"curves": OPTIONS["curves"] | {"maximum": {"u": 0.3}}},
@@ -674,6 +708,7 @@ KINDS = {
             "windows": "windows are looked for along one axis; leave out mu",
             "branches": "branches are followed along one axis; leave out mu",
             "curves": no_curve,
+            "atlas": nothing_along_rows,
         },
         moebius.MOEBIUS,
     ),
@@ -697,6 +732,7 @@ KINDS = {
             "windows": "u is a coordinate of the start state",
             "branches": "u is a coordinate of the start state",
             "curves": ONE_PARAMETER.format("u"),
+            "atlas": ONE_PARAMETER.format("u"),
             "homoclinic": NO_EQUILIBRIA,
         },
         moebius.MOEBIUS,
@@ -752,6 +788,7 @@ KINDS = {
             "windows": one_window("damping", "range", None),
             "branches": branches([1], "damping"),
             "curves": ONE_PARAMETER.format("damping"),
+            "atlas": ONE_PARAMETER.format("damping"),
             "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
@@ -789,6 +826,7 @@ KINDS = {
             "windows": one_window("damping", "range", None),
             "branches": branches([1], "damping"),
             "curves": ONE_PARAMETER.format("damping"),
+            "atlas": ONE_PARAMETER.format("damping"),
             "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
@@ -833,6 +871,7 @@ KINDS = {
             "windows": one_window("mu", "range", None),
             "branches": branches([1], "mu"),
             "curves": ONE_PARAMETER.format("mu"),
+            "atlas": ONE_PARAMETER.format("mu"),
             "homoclinic": NOT_ISOLATED,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
@@ -866,6 +905,7 @@ KINDS = {
             "windows": one_window("b", "range", None),
             "branches": branches([1], "b"),
             "curves": ONE_PARAMETER.format("b"),
+            "atlas": ONE_PARAMETER.format("b"),
             "homoclinic": NO_EQUILIBRIA,
             "basins": one_attractor,
             "reversal": NO_REVERSAL,
@@ -899,6 +939,7 @@ KINDS = {
             "windows": no_row,
             "branches": no_row,
             "curves": ONE_PARAMETER.format("b"),
+            "atlas": ONE_PARAMETER.format("b"),
             "homoclinic": SADDLES_OVER_ONE.format("b"),
             "basins": nothing_periodic,
             "reversal": repellers("conservative", "undecided"),

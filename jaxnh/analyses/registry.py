@@ -30,6 +30,7 @@ _HOMES = {
     "manifolds": "manifolds.manifolds",
     "edges": "edges.edges",
     "homoclinic": "continuation.homoclinic",
+    "atlas": "atlas.atlas",
 }
 
 

@@ -29,7 +29,7 @@ from jaxnh.config.user_system import UserSection
 from jaxnh.config.values import grid_of, without_values
 from jaxnh.config.yaml_source import from_dict, from_text
 from jaxnh.engine.clocks import decides_clock, scales_time
-from jaxnh.engine.fitting import check_analysis, check_events, check_levels
+from jaxnh.engine.fitting import check_analyses, check_events, check_levels
 from jaxnh.engine.flows import particle_flow, section_of
 from jaxnh.engine.start_states import admit_starts, check_starts
 from jaxnh.maps.section import System, begin
@@ -84,8 +84,7 @@ class Experiment(Config):
         setting = Setting(
             self.flow(), self.autonomous, axes, self.precision, lambda value: self.flow({axes[0].name: value})
         )
-        for analysis, options in requested:
-            check_analysis(analysis, options, setting)
+        check_analyses(requested, setting)
         if self.levels:
             check_levels(self.levels, {name: grid.size for name, grid in self.sweep.grids.items()}, requested)
 

@@ -14,12 +14,22 @@ from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 
-def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> None:
-    """Check that an analysis suits the flow, and its options suit flow and sweep.
+def check_analyses(requested: Sequence[tuple[Analysis, Options]], setting: Setting) -> None:
+    """Check that analyses suit the flow, their options flow and sweep, and that no two make the same group.
 
     Raises:
-        ValueError: it cannot; the rule names the key.
+        ValueError: they do not; the rule names the key.
     """
+    for analysis, options in requested:
+        _check_analysis(analysis, options, setting)
+    for analysis, _ in requested:
+        for other, _ in requested:
+            if analysis.whole and other is not analysis and other.name in analysis.whole.brings:
+                message = f"{analysis.name} makes the group {other.name} itself; leave it out"
+                raise rule(message, f"analyses.{other.name}", "analyses")
+
+
+def _check_analysis(analysis: Analysis, options: Options, setting: Setting) -> None:
     name = analysis.name
     try:
         analysis.check(options, setting)
@@ -27,6 +37,20 @@ def check_analysis(analysis: Analysis, options: Options, setting: Setting) -> No
         key = f"analyses.{name}.{error.key}".rstrip(".")
         axes = () if error.key in options.model_fields_set else (f"sweep.{axis.name}" for axis in setting.axes)
         raise rule(str(error), key, f"analyses.{name}", *axes) from None
+
+
+def check_groups(requested: Sequence[tuple[Analysis, Options]]) -> None:
+    """Check that no two analyses make the same group of a result.
+
+    Raises:
+        ValueError: they do; the rule names the key.
+    """
+    for analysis, _ in requested:
+        brought = analysis.whole.brings if analysis.whole else ()
+        for other, _ in requested:
+            if other is not analysis and (twice := {other.name} & {*brought}):
+                message = f"{analysis.name} makes the group {twice.pop()} itself; leave it out"
+                raise rule(message, f"analyses.{other.name}", "analyses")
 
 
 def check_events(flow: Flow, solver: str | None, precision: str) -> None:

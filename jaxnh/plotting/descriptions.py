@@ -175,6 +175,8 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         lambda data: _of_curves(data, "bifurcation_curves", "curve", "point"),
     ),
     "connecting_orbits": (("sample", "point"), None),
+    "atlas": (("cut", "row"), None),
+    "curve_orbits": (("curve", "iterate"), None),
     "curves": (("begins", "codimension_two"), lambda data: _of_curves(data, "bifurcation_curves", "curve", "point")),
     "codimension_two": (("codimension_two",), lambda data: _of_curves(data, "special_points", "codimension_two")),
     "attractors": (("fraction",), lambda _: _Description("shares", ("fraction",), ("attractor",))),

@@ -155,3 +155,25 @@ def same_lanes(one: xr.Dataset, other: xr.Dataset) -> bool:
     """Return whether two groups are of the same lanes."""
     axes = axes_of(one)
     return axes == axes_of(other) and all(one[name].equals(other[name]) for name in axes)
+
+
+def row_numbers(data: xr.Dataset) -> list[int]:
+    """Numbers of the rows of a plane that branches or windows were followed along; none of those over one axis."""
+    return np.unique(data["row"].to_numpy()).tolist() if "row" in data.data_vars else []
+
+
+def in_row(data: xr.Dataset, number: int) -> xr.Dataset:
+    """The group with what is of one row alone; as it is where it has no rows.
+
+    Branches keep their numbers, which bifurcations name: those of other rows have NaN in place of numbers.
+    """
+    if not row_numbers(data):
+        return data
+    here, second = data["row"] == number, str(data.attrs.get("rows", ""))
+    values = data[second].to_numpy()[here.to_numpy()] if second in data else np.zeros(0)
+    if "window" in here.dims:
+        chosen = data.isel(window=np.flatnonzero(here.to_numpy())).drop_vars("row")
+    else:
+        numbers = [item for item in data.data_vars.values() if item.dtype.kind == "f" and here.dims[0] in item.dims]
+        chosen = data.drop_vars("row").assign({str(item.name): item.where(here) for item in numbers})
+    return chosen.assign_attrs({"row": f"{second} = {values[0]:g}"} if values.size else {})

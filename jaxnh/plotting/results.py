@@ -24,11 +24,13 @@ from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import (
     at_place,
     axes_of,
+    in_row,
     kind_of,
     lane_count,
     long_axes,
     other_axes,
     places_of,
+    row_numbers,
     same_lanes,
     same_plane,
     variables_of,
@@ -224,6 +226,12 @@ def _panels(name: str, data: xr.Dataset, groups: _Groups, choice: Choice) -> tup
     if kind is None:
         stated = kind_of(data)
         return [], [f"{name} is not drawn: its panel, {stated}, is of no kind known here"] if stated else []
+    if kind in (PANELS["branches"], PANELS["windows"]) and row_numbers(data):
+        panels = list[Panel]()
+        for number in row_numbers(data):
+            here = {key: in_row(group, number) for key, group in groups.items()}
+            panels += _over_an_axis(name, here[name], kind, here, choice)[0]
+        return panels, []
     of = _of_lanes if kind.each == "lane" else _over_an_axis
     return of(name, data, kind, groups, choice)
 
@@ -312,7 +320,10 @@ def _of_kind(kind: str, groups: _Groups) -> list[xr.Dataset]:
 
 def _draw(name: str, kind: Kind, data: xr.Dataset, ax: Axes, **options: object) -> Axes:
     with _of_group(name):
-        return kind.draw(data, ax, **options)
+        ax = kind.draw(data, ax, **options)
+        if row := data.attrs.get("row"):
+            ax.text(0.99, 0.97, str(row), fontsize=8, transform=ax.transAxes, ha="right", va="top")
+        return ax
 
 
 def _draw_lanes(name: str, data: xr.Dataset, ax: Axes, **options: Any) -> Axes:

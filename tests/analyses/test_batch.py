@@ -119,7 +119,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
     groups = {name: data}
     if analysis.whole:
         scene = own(scene, a=0.4)
-        axes = (Axis("b", B[:3], "b"), Axis("a", np.array([0.4, 0.5]), "a"))[: 2 if name == "curves" else 1]
+        axes = (Axis("b", B[:3], "b"), Axis("a", np.array([0.4, 0.5]), "a"))[: 2 if name in ("curves", "atlas") else 1]
         whole = SweepLanes(axes, ((np.arange(3), scene),))
         groups = analysis.whole.run(analysis.options(**analysis.brief), whole, lanes, data)
         assert set(groups) == {name, *analysis.whole.brings}

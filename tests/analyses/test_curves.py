@@ -32,7 +32,7 @@ def test_a_curve_with_a_point_twice_passes_where_it_did():
     track = Solution(join_unknowns(plane, points, values), way, *([None] * (len(Solution._fields) - 2)))
     curve = Curve(0, points, values, track, np.ones((4, 1)), (0, 0))
     for at, there in ((0.25, True), (0.5, True), (0.9, True), (1.5, False)):
-        assert curves._passes(plane, curve, curves._Seed(0, np.zeros((1, 1)), np.array([at, at]))) is there
+        assert curves._passes(plane, curve, curves.CurveSeed(0, np.zeros((1, 1)), np.array([at, at]))) is there
 
 
 def ring(u, values):
@@ -47,7 +47,7 @@ def test_a_curve_that_is_cut_is_listed_once(angles, ends):
     """Arcs of one circle that are cut by `max_steps` and overlap are one curve, and all around a closed one."""
     plane = ParameterPlane(ring, lambda gap: gap, np.ones(1), np.full(2, -1.0), np.full(2, 1.0))
     turns = np.deg2rad(angles)
-    seeds = [curves._Seed(FOLD, np.zeros((1, 1)), 0.5 * np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
+    seeds = [curves.CurveSeed(FOLD, np.zeros((1, 1)), 0.5 * np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
     options = CurvesOptions(ds_max=0.05, max_steps=14)
     apart = [curve for seed in seeds for curve in curves._follow_curves(plane, [], [seed], options)]
     assert {curve.ends for curve in apart} == {(MOST_POINTS, MOST_POINTS)}

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import inspect
+from unittest import mock
 
 import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.analyses.continuation import homoclinic
 from jaxnh.analyses.continuation.homoclinic import KINDS
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.bifurcations.connection_points import POINTS, TYPES
 from tests.flows import connections
+from tests.flows.lorenz import lorenz
 from tests.helpers import contract
 from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
 
 STEPS = "accuracy: {solver: tsit5, steps: 20}\n"
 
 
-def experiment(folder, flow, initial, sweep, options):
+def experiment(folder, flow, initial, sweep, options, section=""):
     path = folder / "flow.py"
     path.write_text(inspect.getsource(flow).replace(f"def {flow.__name__}", "def system"))
-    config = f"system: {{file: {path}}}\ninitial: {initial}\nsweep: {sweep}\n{STEPS}"
+    config = f"system: {{file: {path}}}\ninitial: {initial}\nsweep: {sweep}\n{section}{STEPS}"
     return Experiment.from_text(config + f"analyses: {{homoclinic: {options}}}\n")
 
 
@@ -163,12 +166,58 @@ def test_pulses_of_fitzhugh_and_nagumo(tmp_path):
     assert sorted(begun) == pytest.approx([0.29131122, connections.FITZHUGH], abs=1e-8)
 
 
+def from_cycles_alone(*arguments):
+    """The result where no manifold of a saddle is followed."""
+    with mock.patch.object(homoclinic, "_seeds", return_value=[]):
+        return result_of(*arguments)["homoclinic"].to_dataset()
+
+
+@pytest.mark.usefixtures("uncalibrated")
+def test_a_planar_loop_from_its_cycles(tmp_path):
+    """mt = 0 at every a, within the errors, from cycles that a Hopf bifurcation begins; the saddle quantity is 2a."""
+    options = "{box: {x: [0.3, 1.0], y: [-0.3, 0.3]}, n_starts: 8, n_values: 1, cycles: 1, ds_max: 0.1}"
+    sweep = "{mt: {start: -0.01, stop: 0.05, count: 4}, a: {values: [-0.3, -0.25]}}"
+    section = "section: {coordinate: x, value: 0.66, direction: up, longest_return: 60}\n"
+    data = from_cycles_alone(tmp_path, connections.loop, "{x: 0.6, y: 0.1}", sweep, options, section)
+    assert [KINDS[kind] for kind in data["kind"].values] == ["homoclinic"]
+    values, errors = points(data, 0, ("mt", "a"))
+    assert np.all(np.abs(values[:, 0]) <= errors[:, 0])
+    assert errors.max() < 1e-10
+    assert sorted(values[[0, -1], 1]) == pytest.approx([-0.3, -0.25])
+    assert np.allclose(data["saddle_quantity"].values[0], 2 * values[:, 1], atol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("uncalibrated")
+def test_lorenz_from_cycles_of_large_period(tmp_path):
+    """ρ = 13.926557407520 at σ = 10 from the cycles that the Hopf bifurcation near 24.7 begins; cut curves are one."""
+    options = "{box: {x: [-15, 15], y: [-15, 15], z: [1, 30]}, n_starts: 16, n_values: 2, cycles: 1, STEPS}"
+    options = options.replace("STEPS", "ds_max: 0.1, max_steps: 10")
+    sweep = "{rho: {start: 13.0, stop: 26.0, count: 4}, sigma: {values: [10.0, 10.3]}}"
+    section = "section: {normal: {x: 1.0, y: 1.0}, value: 14.0, direction: up}\n"
+    data = from_cycles_alone(tmp_path, lorenz, "{x: 1.0, y: 1.0, z: 20.0}", sweep, options, section)
+    assert [KINDS[kind] for kind in data["kind"].values] == ["homoclinic"]
+    values, errors = points(data, 0, ("rho", "sigma"))
+    assert np.ptp(values[:, 1]) == pytest.approx(0.3)
+    k = int(np.argmin(np.abs(values[:, 1] - 10.0)))
+    near = values[np.argsort(np.abs(values[:, 1] - 10.0))[:2]]
+    slope = np.divide(*(near[1] - near[0]))
+    exact = connections.LORENZ + slope * (values[k, 1] - 10.0)
+    assert misses_at(values, errors, k, exact) <= 1e-12
+    assert errors.max() < 1e-8
+
+
 @pytest.mark.parametrize(
     ("sweep", "options", "message"),
     [
         ("{c: {start: 0.1, stop: 0.7, count: 4}}", "{box: {u: [0, 1]}}", "followed over two axes, and the sweep has c"),
         ("{c: {values: [0.1, 0.2]}, a: {values: [0.1]}}", "{box: {u: [0, 1]}}", "over a range of a"),
         ("{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}", "{}", "needs a box"),
+        (
+            "{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}",
+            "{box: {u: [0, 1]}, cycles: 1}",
+            "on a section: give one",
+        ),
         ("{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}", "{box: {q: [0, 1]}}", "no coordinate q"),
         ("{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}", "{box: {u: [1, 0]}}", "the lower one"),
     ],

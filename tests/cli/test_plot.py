@@ -51,6 +51,8 @@ OVER_TWO_AXES = {
     "codimension_two": "special_points",
     "homoclinic": "bifurcation_curves",
     "connecting_orbits": "",
+    "atlas": "",
+    "curve_orbits": "",
 }
 """Groups of analyses that need two, and their panels."""
 B = (5.8, 2.5, 4.1, 5.3)

@@ -61,6 +61,19 @@ def sandstede(mt=0.0, a=0.0, b=1.0, c=-2.0, alpha=1.0, beta=1.0, gamma=0.0, mu=0
     return {"rhs": rhs, "coordinates": ("x", "y", "z")}
 
 
+def loop(mt=0.0, a=-0.3):
+    """Sandstede's flow at z = 0, b = 1: the loop x²(1 − x) = y² at mt = 0 and every a, with eigenvalues a ± 1; cycles
+    inside it are born in a Hopf bifurcation near mt = −a/12."""
+
+    def rhs(state, time):
+        x, y = state
+        return a * x + y - a * x * x + mt * x * (
+            2.0 - 3.0 * x
+        ), x + a * y - 1.5 * x * x - 1.5 * a * x * y - 2.0 * mt * y
+
+    return {"rhs": rhs, "coordinates": ("x", "y")}
+
+
 def flips(a=0.0, q=1.0, kappa=0.5, drive=1.0, feed=0.0, sign=1.0):
     """The pulse x″ = x − x² with a third direction of rate κ < 1: the orbit flips at q = 1/(1 − κ²) where the pulse drives
     it (drive, no feed), the inclination at q = 2/(1 − κ²) where it feeds the pulse.

@@ -40,6 +40,8 @@ WITHOUT_LANES = (
     "attractors",
     "homoclinic",
     "connecting_orbits",
+    "atlas",
+    "curve_orbits",
 )
 
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jaxnh.orbits.bifurcations.connection_points import POINTS, leading, special_connections
+from jaxnh.orbits.collocation.connection_joins import is_on_curve, join_connections
 from jaxnh.orbits.collocation.connection_meshes import refined
 from jaxnh.orbits.collocation.connections import connection_near, follow_connections
 from jaxnh.orbits.collocation.equations import BoundarySolution
@@ -68,6 +69,31 @@ def test_lorenz_over_two_parameters():
         assert np.allclose(finer.departure.eigenvalues, exact, rtol=1e-9)
     assert not special_connections(problem, curve)
     assert not any(leading(orbit.departure).shilnikov for orbit in points_of(curve))
+
+
+def test_curves_that_were_cut_are_one():
+    """Lorenz's curve from its middle and from either end of that; not one that ends in front of the other."""
+    problem, begun, whole = lorenz_curve()
+    low, high = np.array([10.0, 8.0]), np.array([20.0, 12.0])
+    cut = follow_connections(problem, begun, low, high, StepControl(0.1, 4))
+    for orbit in (points_of(cut)[0], points_of(cut)[-1]):
+        other = follow_connections(problem, orbit, low, high, StepControl(0.1, 4))
+        ends = np.sort([point.values[1] for curve in (cut, other) for point in points_of(curve)])[[0, -1]]
+        for pair in ((cut, other), (other, cut)):
+            joined = join_connections(problem, *pair)
+            sigma = np.array([point.values[1] for point in points_of(joined)])
+            assert np.array_equal(np.sort(sigma[[0, -1]]), ends)
+            # Meshes resolve parameters to 1e-8 of the widths, of which ρ's is ten.
+            assert np.all(np.diff(sigma) * np.sign(sigma[-1] - sigma[0]) > -2e-7)
+            for stretch in joined.stretches:  # between points the orbits are those of the curve
+                middle = stretch.between(0, 0.5)
+                first, second = (point.values[1] for point in stretch.points[:2])
+                assert min(first, second) - 2e-7 < middle.values[1] < max(first, second) + 2e-7
+                assert is_on_curve(problem, whole, middle)
+    assert join_connections(problem, cut, whole) is whole
+    assert join_connections(problem, whole, cut) is whole
+    far = follow_connections(problem, points_of(whole)[0], low, high, StepControl(0.1, 3))
+    assert join_connections(problem, cut, far) is None
 
 
 def test_the_pulse_beside_the_hamiltonian_one():

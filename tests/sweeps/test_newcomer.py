@@ -11,6 +11,7 @@ from tests.helpers.paths import ROOT
 
 EXAMPLES = {example.name: example for example in newcomer.examples()}
 WITHOUT = {
+    "atlas.md",
     "config.md",
     "covariant.md",
     "edges.md",

@@ -11,9 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import (
     LANE,
@@ -46,6 +48,20 @@ _WORK = 3.0  # of a run, in those of settling: a guess
 # Steps of a return. Its derivatives take 17 μs a step, as of circuit.yaml (130 steps) and peroxidase.yaml (2,500); an
 # evaluation of collocation takes 4 and 7 ms there, and a branch about as many.
 _LONG_RETURN = 500
+
+
+class SettledOrbits(NamedTuple):
+    """What lanes have settled on.
+
+    Attributes:
+        period: of the orbit, 0 where there is none, (lanes,).
+        u: a point of it, (lanes, d).
+        size: of the motion, NaN of lanes that have failed, (lanes, d).
+    """
+
+    period: Int[np.ndarray, " lanes"]
+    u: Float[np.ndarray, "lanes d"]
+    size: Float[np.ndarray, "lanes d"]
 
 
 def periods(options: BranchesOptions, lanes: int) -> float:
@@ -100,28 +116,42 @@ def _needs_collocation(flow: Flow, tree: Tree) -> bool:
 
 def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """The orbit that every lane has settled on: a point of it, its period, and the size of the motion."""
-    attractors = survey_from_start(batch, lanes, options.max_period, "branches", options.transient)
-    size = np.where(attractors.failed[:, None], np.nan, attractors.size)
+    settled = settle(options, batch, lanes)
     return xr.Dataset(
         {
-            "lane_period": variable(LANE, attractors.period, "period of a lane"),
-            "lane_u": variable((LANE, "lane_component"), attractors.u, "point of the orbit of a lane"),
-            "lane_size": variable((LANE, "lane_component"), size, "size of the motion of a lane"),
+            "lane_period": variable(LANE, settled.period, "period of a lane"),
+            "lane_u": variable((LANE, "lane_component"), settled.u, "point of the orbit of a lane"),
+            "lane_size": variable((LANE, "lane_component"), settled.size, "size of the motion of a lane"),
         }
     )
+
+
+def settle(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> SettledOrbits:
+    """What lanes settle on from their start."""
+    attractors = survey_from_start(batch, lanes, options.max_period, "branches", options.transient)
+    return SettledOrbits(attractors.period, attractors.u, np.where(attractors.failed[:, None], np.nan, attractors.size))
 
 
 def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `branches` and `bifurcations`, from what all lanes have settled on."""
     [axis], [(order, row)] = sweep.axes, sweep.rows
     batch = replace(row, axis=replace(axis, values=axis.values[order]))
-    u, period, size = (data[f"lane_{name}"].to_numpy()[order] for name in ("u", "period", "size"))
+    settled = SettledOrbits(*(data[f"lane_{name}"].to_numpy()[order] for name in SettledOrbits._fields))
+    grown = grow_branches(options, batch, lanes, settled)
+    return datasets(lanes, grown, options.max_period, derived=bool(options.sensitivities))
+
+
+def grow_branches(
+    options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner, settled: SettledOrbits
+) -> list[FollowedBranches]:
+    """All branches over the first axis: first those of orbits, then, where they are asked for, those of equilibria."""
+    axis, (period, u, size) = batch.first_axis, settled
     known = np.isfinite(size).all(axis=1)
     unit = np.median(size[known], axis=0) if known.any() else np.ones(u.shape[1])
     ends = float(axis.values.min()), float(axis.values.max())
     waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
-    sampled = np.unique(np.linspace(0, len(order) - 1, min(options.n_values, len(order))).round().astype(int))
-    here = batch.take(np.argsort(batch.first_axis.values, kind="stable")[sampled])
+    sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
+    here = batch.take(np.argsort(axis.values, kind="stable")[sampled])
     if options.n_starts:
         with lanes.stage(f"branches: {options.n_starts} random starts at {len(sampled)} values of {axis.name}", 0):
             waves.append(
@@ -155,7 +185,7 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
         followed, lost = grow_cycles(batch, lanes, waves, unit, options.max_period, ends, steps, stage)
         tree, timed = tree_of_cycles(batch, followed, lost), durations(followed)
     orbits = FollowedBranches(tree, families[0], batch, timed)
-    return datasets(lanes, [orbits, *still], options.max_period, derived=bool(options.sensitivities))
+    return [orbits, *still]
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:

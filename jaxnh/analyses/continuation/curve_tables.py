@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Entry, Table, flag, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, iterate_units
 from jaxnh.analyses.continuation.condition_curves import CONDITIONS, ConditionCurve
-from jaxnh.analyses.continuation.tables import special_kinds, special_values
+from jaxnh.analyses.continuation.tables import period_variable, special_kinds, special_values
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special
 from jaxnh.orbits.bifurcations.equilibrium_forms import COUNT, TERMS
 from jaxnh.orbits.continuation.curves import Curve
@@ -67,12 +67,7 @@ def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, l
     filled = {
         **columns,
         "kind": flag("curve", list(map(_kind, curves)), words_of_kind, kinds),
-        "period": variable(
-            "curve",
-            np.array([curve.period for curve in curves], np.int32),
-            "period of the orbit",
-            counted_in=iterate_units(batch.system),
-        ),
+        "period": period_variable(("curve",), [curve.period for curve in curves], iterate_units(batch.system)),
         "multipliers": variable((*dims, "multiplier", "part"), table(multipliers, d, 2), _multiplier_words(curves)),
         "begins": flag("curve", [curve.ends[0] for curve in curves], "why the curve begins there", ENDS),
         "ends": flag("curve", [curve.ends[1] for curve in curves], "why the curve ends there", ENDS),
@@ -115,10 +110,10 @@ def special_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet) 
     for k, (_, point, *_) in enumerate(special):
         values = point.multipliers
         multipliers[k, : len(values)] = np.stack([np.real(values), np.imag(values)], axis=-1)
-    period = np.array([curves[point.curve].period for point in special], np.int32)
+    periods = [curves[point.curve].period for point in special]
     variables = {
         **_kind_and_curve("", special),
-        "period": variable("codimension_two", period, "period of the orbit", counted_in=iterate_units(batch.system)),
+        "period": period_variable(("codimension_two",), periods, iterate_units(batch.system)),
         "multipliers": variable(("codimension_two", "multiplier", "part"), multipliers, _multiplier_words(curves)),
     }
     for k, axis in enumerate(axes):

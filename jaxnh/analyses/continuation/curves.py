@@ -7,8 +7,7 @@ settle on there (`branches`). All curves of one kind and period are then followe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +23,13 @@ from jaxnh.analyses.base import (
     SweepReduction,
     variable,
 )
-from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
-from jaxnh.analyses.continuation.condition_curves import check_conditions, condition_curves, conditions_of
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.continuation.condition_curves import (
+    ConditionCurve,
+    check_conditions,
+    condition_curves,
+    conditions_of,
+)
 from jaxnh.analyses.continuation.curve_tables import (
     CurvePoint,
     CurveSet,
@@ -36,8 +40,15 @@ from jaxnh.analyses.continuation.curve_tables import (
 from jaxnh.analyses.continuation.cycle_curves import cycle_seeds
 from jaxnh.analyses.continuation.equilibria import check_equilibria, section_plane
 from jaxnh.analyses.continuation.equilibrium_curves import EquilibriumCurves, equilibrium_curves, rounding_errors
-from jaxnh.analyses.continuation.families import check_plane, orbit_family, parameter_plane, step_control
-from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
+from jaxnh.analyses.continuation.families import (
+    check_plane,
+    lanes_along,
+    orbit_family,
+    parameter_plane,
+    step_control,
+    values_searched,
+)
+from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.attractor_survey import survey_from_start
@@ -60,12 +71,19 @@ _NOTHING = "curves: there is no {} to follow over {} and {}"
 _WORK = 3.0  # of a run, in those of settling: a guess
 
 
-class _Seed(NamedTuple):
+class CurveSeed(NamedTuple):
     """A bifurcation to begin with."""
 
     kind: int
     points: Float[np.ndarray, "n d"]
     values: Float[np.ndarray, " 2"]
+
+
+class KnownBifurcations(NamedTuple):
+    """Bifurcations of orbits to begin with, at values of the second parameter, and the sizes of the motion."""
+
+    size: Float[np.ndarray, " d"]
+    rows: Iterable[Sequence[CurveSeed]]
 
 
 def periods(options: CurvesOptions, lanes: int) -> float:
@@ -102,52 +120,61 @@ def run(options: CurvesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
 
 def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `curves` and `codimension_two`."""
-    (first, second), [(_, row)] = sweep.axes, sweep.rows
-    sampled = np.unique(
-        np.linspace(0, len(second.values) - 1, min(options.n_values, len(second.values))).round().astype(int)
-    )
-    chosen = np.unique(second.values[sampled])
-    batches = [_lanes_at(row, first, np.flatnonzero(row.p[second.name] == value)) for value in chosen]
-    low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
-    names, followed, still = (first.name, second.name), CurveSet([], [], []), None
-    if options.equilibria:
-        still = equilibrium_curves(batches, lanes, options, names, low, high)
-        followed = _of_equilibria(still)
-    attractors = _attractors(options, batches, lanes)
-    waves, sizes = [each.waves for each in attractors], [each.sizes for each in attractors if len(each.sizes)]
-    size = np.median(np.concatenate(sizes), axis=0) if sizes else np.ones(row.chart.dimension)
-    if options.max_period and options.bifurcations is None:
-        orbits = _of_orbits(options, batches, lanes, waves, size, names, low, high, still)
-        followed = _joined(followed, orbits)
-    lines = [] if followed.curves or options.bifurcations is False else [_NOTHING.format("bifurcation", *names)]
-    if options.conditional:
-        curves = condition_curves(options, batches, lanes, waves, size, names, (low, high))
-        followed = _joined(followed, CurveSet(list(curves), [curve.errors for curve in curves], []))
-        missed = [each for each in conditions_of(options) if not any(each.asks_for(curve) for curve in curves)]
-        lines += [_NOTHING.format(f"cycle with {each.words}", *names) for each in missed]
-    parts = batches[0], sweep.axes, followed
+    return curve_groups(options, sweep, follow_all(options, sweep, lanes))
+
+
+def curve_groups(options: CurvesOptions, sweep: SweepLanes, followed: CurveSet) -> dict[str, xr.Dataset]:
+    """The groups `curves` and `codimension_two` of curves that have been followed."""
+    parts, names = (sweep.rows[0][1], sweep.axes, followed), [axis.name for axis in sweep.axes]
+    conditional = [curve for curve in followed.curves if isinstance(curve, ConditionCurve)]
+    missed = [each for each in conditions_of(options) if not any(each.asks_for(curve) for curve in conditional)]
+    lines = [_NOTHING.format(f"cycle with {each.words}", *names) for each in missed]
+    if options.bifurcations is None and len(conditional) == len(followed.curves):
+        lines = [_NOTHING.format("bifurcation", *names), *lines]
     data = curves_dataset(*parts, options.max_period)
     data.attrs |= {"warnings": "\n".join(lines)} if lines else {}
     return {"curves": data, "codimension_two": special_dataset(*parts)}
 
 
 class _Attractors(NamedTuple):
-    """Orbits that the lanes of a batch have settled on, in waves, and the sizes of motions, (some, d)."""
+    """Orbits that the lanes of every batch have settled on, in waves, and the size of the motion."""
 
-    waves: list[list[SeedOrbit]]
-    sizes: Float[np.ndarray, "some d"]
+    waves: list[list[list[SeedOrbit]]]
+    size: Float[np.ndarray, " d"]
 
 
-def _attractors(options: CurvesOptions, batches: Sequence[LaneBatch], lanes: LaneRunner) -> list[_Attractors]:
+def follow_all(
+    options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, known: KnownBifurcations | None = None
+) -> CurveSet:
+    """All curves: through bifurcations that are known, or those of the branches of what lanes settle on."""
+    (first, second), [(_, row)] = sweep.axes, sweep.rows
+    batches = [lanes_along(row, first, second, value) for value in values_searched(second, options.n_values).tolist()]
+    low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
+    names, followed, still = (first.name, second.name), CurveSet([], [], []), None
+    if options.equilibria:
+        still = equilibrium_curves(batches, lanes, options, names, low, high)
+        followed = _of_equilibria(still)
+    settled = None if known else _attractors(options, batches, lanes)
+    if options.max_period and options.bifurcations is None:
+        if settled is not None:
+            known = _bifurcations_of_lanes(options, batches, lanes, settled, second.name, (low[0], high[0]))
+        assert known is not None
+        followed = _joined(followed, _of_orbits(options, batches[0], lanes, names, low, high, still, known))
+    if options.conditional and settled is not None:
+        curves = condition_curves(options, batches, lanes, settled.waves, settled.size, names, (low, high))
+        followed = _joined(followed, CurveSet(list(curves), [curve.errors for curve in curves], []))
+    return followed
+
+
+def _attractors(options: CurvesOptions, batches: Sequence[LaneBatch], lanes: LaneRunner) -> _Attractors:
     """The attractors of all batches; none where no orbits are followed."""
-    if not options.max_period:
-        return []
-    attractors = list[_Attractors]()
-    for batch in batches:
+    waves, sizes = list[list[list[SeedOrbit]]](), list[np.ndarray]()
+    for batch in batches if options.max_period else []:
         survey = survey_from_start(batch, lanes, options.max_period, "curves", options.transient)
-        waves = attractor_waves(batch, lanes, survey.u, np.where(survey.failed, 0, survey.period))
-        attractors.append(_Attractors(waves, survey.size[~survey.failed]))
-    return attractors
+        waves.append(attractor_waves(batch, lanes, survey.u, np.where(survey.failed, 0, survey.period)))
+        sizes.append(survey.size[~survey.failed])
+    found = np.concatenate(sizes) if sizes else np.zeros((0, batches[0].chart.dimension))
+    return _Attractors(waves, np.median(found, axis=0) if len(found) else np.ones(found.shape[1]))
 
 
 def _of_equilibria(still: EquilibriumCurves) -> CurveSet:
@@ -161,39 +188,61 @@ def _of_equilibria(still: EquilibriumCurves) -> CurveSet:
     return CurveSet([one.curve for one in every], [rounding_errors(plane, one.curve) for one in every], special)
 
 
-def _of_orbits(
+def _bifurcations_of_lanes(
     options: CurvesOptions,
     batches: Sequence[LaneBatch],
     lanes: LaneRunner,
-    waves: Sequence[Sequence[Sequence[SeedOrbit]]],
-    size: Float[np.ndarray, " d"],
+    settled: _Attractors,
+    second: str,
+    ends: tuple[float, float],
+) -> KnownBifurcations:
+    """Bifurcations on the branches of what lanes settle on, row by row as they are asked for."""
+    steps, size = step_control(options)._replace(max_steps=STEPS.max_steps), settled.size
+
+    def rows() -> Iterator[list[CurveSeed]]:
+        for batch, waves in zip(batches, settled.waves, strict=True):
+            value = float(batch.p[second][0])
+            families = [orbit_family(batch, lanes, strobe, size, ends) for strobe in refined_maps(batch)]
+            with lanes.stage(f"curves: bifurcations at {second} = {value:g}", 0):
+                tree = grow(families, waves, options.max_period, steps)
+            yield seeds_of(tree, value)
+
+    return KnownBifurcations(size, rows())
+
+
+def seeds_of(tree: Tree, second: float) -> list[CurveSeed]:
+    """The bifurcations of branches of orbits that curves go through, at a value of the second parameter."""
+    return [
+        CurveSeed(point.kind, point.points, np.array([point.value, second]))
+        for point in tree.bifurcations
+        if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)
+    ]
+
+
+def _of_orbits(
+    options: CurvesOptions,
+    batch: LaneBatch,
+    lanes: LaneRunner,
     names: tuple[str, str],
     low: Float[np.ndarray, " 2"],
     high: Float[np.ndarray, " 2"],
     still: EquilibriumCurves | None,
+    known: KnownBifurcations,
 ) -> CurveSet:
     """Curves of bifurcations of periodic orbits, those among them that leave points of equilibria."""
     plane, *others = (
-        parameter_plane(batches[0], lanes, strobe, size, names, low, high) for strobe in refined_maps(batches[0])
+        parameter_plane(batch, lanes, strobe, known.size, names, low, high) for strobe in refined_maps(batch)
     )
-    curves, steps = list[Curve](), step_control(options)._replace(max_steps=STEPS.max_steps)
-    for batch, seeds_of_batch in zip(batches, waves, strict=True):
-        second, value = names[1], float(batch.p[names[1]][0])
-        families = [orbit_family(batch, lanes, strobe, size, (low[0], high[0])) for strobe in refined_maps(batch)]
-        with lanes.stage(f"curves: bifurcations at {second} = {value:g}", 0):
-            tree = grow(families, seeds_of_batch, options.max_period, steps)
-        seeds = [
-            _Seed(point.kind, point.points, np.array([point.value, value]))
-            for point in tree.bifurcations
-            if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)
-        ]
-        with lanes.stage(f"curves: from {len(seeds)} bifurcations at {second} = {value:g}", 0):
+    curves = list[Curve]()
+    for seeds in known.rows:
+        at = f" at {names[1]} = {seeds[0].values[1]:g}" if seeds else ""
+        with lanes.stage(f"curves: from {len(seeds)} bifurcations{at}", 0):
             curves = _follow_curves(plane, curves, seeds, options)
-    if still is not None and isinstance(batches[0].system, Section):
+    if still is not None and isinstance(batch.system, Section):
         points = [pair for one in still.curves for pair in zip(one.points, one.forms, strict=True)]
         with lanes.stage("curves: of cycles from points of codimension two of equilibria", 0):
-            starts = cycle_seeds(still.plane, plane, section_plane(batches[0].system), points)
-            seeds = [_Seed(start.kind, start.points, start.values) for start in starts]
+            starts = cycle_seeds(still.plane, plane, section_plane(batch.system), points)
+            seeds = [CurveSeed(start.kind, start.points, start.values) for start in starts]
             curves = _follow_curves(plane, curves, seeds, options)
     curves.sort(key=lambda curve: (curve.period, curve.kind))
     with lanes.stage(f"curves: errors of {len(curves)}", 0):
@@ -215,14 +264,8 @@ def _joined(one: CurveSet, other: CurveSet) -> CurveSet:
     return CurveSet([*one.curves, *other.curves], [*one.errors, *other.errors], [*one.special, *special])
 
 
-def _lanes_at(row: LaneBatch, first: Axis, lanes: np.ndarray) -> LaneBatch:
-    """The lanes along the first axis at a value of the second."""
-    batch = row.take(lanes)
-    return replace(batch, axis=replace(first, values=batch.p[first.name]))
-
-
 def _follow_curves(
-    plane: ParameterPlane, there: Sequence[Curve], seeds: Sequence[_Seed], options: CurvesOptions
+    plane: ParameterPlane, there: Sequence[Curve], seeds: Sequence[CurveSeed], options: CurvesOptions
 ) -> list[Curve]:
     """All curves, those through bifurcations that are on none yet among them, each once."""
     curves = list(there)
@@ -249,7 +292,7 @@ def _with_curve(plane: ParameterPlane, curves: Sequence[Curve], curve: Curve) ->
     return [*apart, curve]
 
 
-def _passes(plane: ParameterPlane, curve: Curve, seed: _Seed) -> bool:
+def _passes(plane: ParameterPlane, curve: Curve, seed: CurveSeed) -> bool:
     """Return whether a curve goes through a bifurcation, whichever of the orbit's points comes first."""
     if curve.kind != seed.kind or curve.period != len(seed.points):
         return False

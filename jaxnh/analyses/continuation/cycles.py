@@ -48,6 +48,8 @@ def grow_cycles(
     ends: tuple[float, float],
     steps: StepControl,
     stage: Callable[[str], AbstractContextManager[object]],
+    *,
+    locate: bool = True,
 ) -> tuple[list[FollowedCycles], int]:
     """All branches of cycles that orbits lead to, and how many changes of sign of test functions led to no bifurcation.
 
@@ -60,6 +62,7 @@ def grow_cycles(
         ends: of the range of the parameter, the lower one first.
         steps: how branches are followed.
         stage: shows what is done inside, by its label.
+        locate: whether bifurcations are located, and doubled cycles followed; otherwise branches have none.
     """
     followed, lost, problem = list[FollowedCycles](), 0, None
     for seed in sorted(itertools.chain(*waves), key=lambda seed: len(seed.points)):
@@ -76,7 +79,7 @@ def grow_cycles(
                 batch, lanes, cycle_size(batch.system, guess.path, unit), (batch.first_axis.name,), widths
             )
         with stage(f"cycles of {returns} returns by collocation"):
-            lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch)
+            lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch, locate)
     return followed, lost
 
 
@@ -89,6 +92,7 @@ def _follow_on(
     ends: tuple[float, float],
     steps: StepControl,
     batch: LaneBatch,
+    locate: bool,
 ) -> int:
     """Follow the branch of a cycle and those of doubled ones, where they are new; how many signs led to nothing."""
     begun = _first_point(problem, guess, path_lift(batch.flow, guess.path))
@@ -103,7 +107,7 @@ def _follow_on(
         sides = []
         for way in (point, reversed_way(point))[: 1 + both_ways]:
             branch = follow_cycles(problem, way, lift, ends, steps)
-            located, missed = bifurcations(problem, branch, lift)
+            located, missed = bifurcations(problem, branch, lift) if locate else ([], 0)
             lost += missed
             sides.append((branch, located))
         new = _joined(n, lift, *sides)

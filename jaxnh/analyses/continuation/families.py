@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.base import OptionError, Setting
-from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import Continuation
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
@@ -35,6 +35,19 @@ def check_plane(what: str, setting: Setting) -> None:
             raise OptionError(f"{what} are followed over two parameters, and {axis.name} is {other}")
         if len(np.unique(axis.values)) < 2:
             raise OptionError(f"{what} are followed over a range of {axis.name}, and the sweep has one value of it")
+
+
+def lanes_along(row: LaneBatch, first: Axis, second: Axis, value: float) -> LaneBatch:
+    """The lanes along the first axis at a value of the second, in the order of the first one's values."""
+    batch = row.take(np.flatnonzero(row.p[second.name] == value))
+    batch = batch.take(np.argsort(batch.p[first.name], kind="stable"))
+    return replace(batch, axis=replace(first, values=batch.p[first.name]))
+
+
+def values_searched(second: Axis, count: int) -> Float[np.ndarray, " values"]:
+    """So many values of an axis, evenly over their numbers, both ends among them, or all; in order."""
+    sampled = np.linspace(0, len(second.values) - 1, min(count, len(second.values))).round().astype(int)
+    return np.unique(second.values[np.unique(sampled)])
 
 
 def step_control(options: Continuation) -> StepControl:

@@ -7,7 +7,6 @@ orbit that Newton confirms its curve goes to both ends (`orbits.collocation.conn
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,8 +27,14 @@ from jaxnh.analyses.base import (
 )
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shooting, connection_seeds, saddle_chains
+from jaxnh.analyses.continuation.cycle_connections import seeds_from_cycles
 from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
-from jaxnh.analyses.continuation.families import check_plane, step_control
+from jaxnh.analyses.continuation.families import (
+    check_plane,
+    lanes_along,
+    step_control,
+    values_searched,
+)
 from jaxnh.analyses.continuation.tables import special_kinds, special_values
 from jaxnh.analyses.options.orbits import HomoclinicOptions
 from jaxnh.analyses.periodic.flow_cycles import flow_problem, no_collocation
@@ -42,6 +47,7 @@ from jaxnh.orbits.bifurcations.connection_points import (
     leading,
     special_connections,
 )
+from jaxnh.orbits.collocation.connection_joins import is_on_curve, join_connections
 from jaxnh.orbits.collocation.connection_meshes import Connection, refined
 from jaxnh.orbits.collocation.connections import ConnectionCurve, connection_near, follow_connections
 from jaxnh.orbits.collocation.equations import Problem
@@ -56,7 +62,6 @@ _OWN_NAMES = (
     "saddle_quantity", "saddle_type", "shilnikov", "codimension_two_kind", "codimension_two_curve",
 )  # fmt: skip
 _SAMPLES = 129  # of an orbit, close together where its mesh is
-_NEAR = 1e-2  # sizes and widths: orbits and parameters this near are on one curve
 
 
 class FollowedConnections(NamedTuple):
@@ -111,22 +116,21 @@ def whole(
 ) -> Mapping[str, xr.Dataset]:
     """The groups `homoclinic` and `connecting_orbits`."""
     (first, second), [(_, row)] = sweep.axes, sweep.rows
-    row = row.without_section()
-    count = min(options.n_values, len(second.values))
-    sampled = np.unique(np.linspace(0, len(second.values) - 1, count).round().astype(int))
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
     names, curves = (first.name, second.name), list[tuple[Problem, ConnectionCurve]]()
-    for value in np.unique(second.values[sampled]).tolist():
-        batch = row.take(np.flatnonzero(row.p[second.name] == value))
-        batch = batch.take(np.argsort(batch.p[first.name], kind="stable"))
-        batch = replace(batch, axis=replace(first, values=batch.p[first.name]))
+    for value in values_searched(second, options.n_values).tolist():
+        on_section = lanes_along(row, first, second, value)
+        batch = on_section.without_section()
         with lanes.stage(f"homoclinic: saddles and their manifolds at {second.name} = {value:g}", 0):
             seeds = _seeds(options, batch, lanes, names, high - low, value)
+        if options.cycles:
+            seeds += seeds_from_cycles(on_section, lanes, options, names, (low, high), value)
         with lanes.stage(f"homoclinic: curves from {len(seeds)} orbits at {second.name} = {value:g}", 0):
             for seed in seeds:
                 _follow(options, flow_problem(batch, lanes, _size(seed), names, high - low), seed, (low, high), curves)
     with lanes.stage(f"homoclinic: errors of {len(curves)}", 0):
         followed = [_with_errors(problem, curve) for problem, curve in curves]
+    row = row.without_section()
     return {"homoclinic": _dataset(row, sweep.axes, followed), "connecting_orbits": _orbits(row, followed)}
 
 
@@ -160,32 +164,21 @@ def _follow(
     ends: tuple[np.ndarray, np.ndarray],
     curves: list[tuple[Problem, ConnectionCurve]],
 ) -> None:
-    """Add the curve of an orbit, unless Newton does not confirm it or its curve is known."""
+    """Add the curve of an orbit, unless Newton does not confirm it or its curve is known; cut ones are joined to it."""
     begun = connection_near(problem, seed.guess, seed.departure, seed.arrival)
     if begun is None or np.any(begun.values < ends[0]) or np.any(begun.values > ends[1]):
         return
-    if not any(_passes(problem, curve, begun) for _, curve in curves):
-        curves.append((problem, follow_connections(problem, begun, *ends, step_control(options))))
-
-
-def _passes(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> bool:
-    """Return whether an orbit is on a curve: its parameters near a chord, its extent as that of the orbits there."""
-    for stretch in curve.stretches:
-        values = np.array([point.values for point in stretch.points]) / problem.widths
-        for k in range(len(values) - 1):
-            chord, gap = values[k + 1] - values[k], orbit.values / problem.widths - values[k]
-            share = float(np.clip(gap @ chord / max(chord @ chord, 1e-300), 0.0, 1.0))
-            shapes = [_shape(problem, point) for point in stretch.points[k : k + 2]]
-            shape = (1.0 - share) * shapes[0] + share * shapes[1]
-            if np.linalg.norm(gap - share * chord) <= _NEAR and np.abs(shape - _shape(problem, orbit)).max() <= _NEAR:
-                return True
-    return False
-
-
-def _shape(problem: Problem, orbit: Connection) -> Float[np.ndarray, " 2d"]:
-    """The box around an orbit, in sizes."""
-    ends = orbit.solution.path.ends[0] / problem.size
-    return np.concatenate([ends.min(axis=0), ends.max(axis=0)])
+    if any(is_on_curve(problem, curve, begun) for _, curve in curves):
+        return
+    whole, apart = (
+        follow_connections(problem, begun, *ends, step_control(options)),
+        list[tuple[Problem, ConnectionCurve]](),
+    )
+    for own, other in curves:
+        joined = join_connections(problem, other, whole)
+        whole, more = (whole, [(own, other)]) if joined is None else (joined, [])
+        apart += more
+    curves[:] = [*apart, (problem, whole)]
 
 
 def _with_errors(problem: Problem, curve: ConnectionCurve) -> FollowedConnections:

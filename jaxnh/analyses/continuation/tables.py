@@ -77,8 +77,7 @@ def datasets(
     all_ = [(of, k) for of, tree in enumerate(trees) for k in range(len(tree.branches))]
     order = sorted(all_, key=lambda pair: (_period(grown[pair[0]], trees[pair[0]].branches[pair[1]].period), pair))
     rank = {pair: place for place, pair in enumerate(order)}
-    bifurcations = [(of, point) for of, tree in enumerate(trees) for point in tree.bifurcations]
-    bifurcations.sort(key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
+    bifurcations = ordered_bifurcations(grown)
     branches = _branches(lanes, grown, [(of, trees[of].branches[k]) for of, k in order])
     attrs = {
         "limit": limit,
@@ -102,6 +101,12 @@ def datasets(
         "branches": xr.Dataset(branches, attrs=attrs),
         "bifurcations": xr.Dataset(points, attrs=own),
     }
+
+
+def ordered_bifurcations(grown: Sequence[FollowedBranches]) -> list[tuple[int, Bifurcation]]:
+    """All bifurcations in the order of the parameter, each after the number of its family."""
+    every = [(of, point) for of, part in enumerate(grown) for point in part.tree.bifurcations]
+    return sorted(every, key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
 
 
 def _durations(
@@ -148,8 +153,8 @@ def _branches(
     residual = "largest component of P(u) − u, in sizes of the motion"
     return {
         axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
-        "period": _period_variable(("branch",), periods, iterate_units(system)),
-        **_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
+        "period": period_variable(("branch",), periods, iterate_units(system)),
+        **orbit_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
         "multipliers": variable((*dims, "multiplier", "part"), values, _multiplier_words(grown)),
         "stable": flag(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
@@ -193,7 +198,7 @@ def _bifurcations(
             ancillary_variables=f"{name}_error",
         ),
         f"{name}_error": variable(dim, np.array([point.error for point in every], float), error_words, axis.units),
-        "period": _period_variable(dim, periods, iterate_units(system)),
+        "period": period_variable(dim, periods, iterate_units(system)),
         "branch": variable(dim, np.array(branch, np.int32), "number of the branch"),
         "criticality": flag(
             dim,
@@ -203,7 +208,7 @@ def _bifurcations(
             -1,
         ),
         "coefficient": variable(dim, np.array([point.coefficient for point in every], float), coefficient),
-        **_coordinates(lanes, grown, [(of, point.points[None]) for of, point in bifurcations], rows, dim),
+        **orbit_coordinates(lanes, grown, [(of, point.points[None]) for of, point in bifurcations], rows, dim),
         "multipliers": variable((*dim, "multiplier", "part"), multipliers, _multiplier_words(grown)),
     }
 
@@ -229,7 +234,8 @@ def _dimension(grown: Sequence[FollowedBranches]) -> int:
     return max(part.batch.chart.dimension for part in grown)
 
 
-def _period_variable(dim: tuple[str, ...], periods: Sequence[int], counted: str) -> Entry:
+def period_variable(dim: tuple[str, ...], periods: Sequence[int], counted: str) -> Entry:
+    """The periods of orbits, 0 of equilibria."""
     words = "period of the orbit"
     return number_variable(dim, np.array(periods, np.int32), words, ("equilibrium",), counted_in=counted)
 
@@ -238,7 +244,7 @@ def _multiplier_words(grown: Sequence[FollowedBranches]) -> str:
     return _MULTIPLIERS + _EIGENVALUES if len(grown) > 1 else _MULTIPLIERS
 
 
-def _coordinates(
+def orbit_coordinates(
     lanes: LaneRunner,
     grown: Sequence[FollowedBranches],
     points: Sequence[tuple[int, Float[np.ndarray, "k n d"]]],

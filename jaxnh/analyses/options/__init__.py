@@ -13,6 +13,7 @@ from jaxnh.analyses.options.chaos import (
     VerdictOptions,
 )
 from jaxnh.analyses.options.orbits import (
+    AtlasOptions,
     BranchesOptions,
     CurvesOptions,
     DoublingOptions,
@@ -54,6 +55,7 @@ OPTIONS: dict[str, type[Options]] = {
         ManifoldsOptions,
         EdgesOptions,
         HomoclinicOptions,
+        AtlasOptions,
     )
 }
 """Options of every analysis, in the order in which messages list them."""

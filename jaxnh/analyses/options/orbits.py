@@ -156,11 +156,49 @@ class CurvesOptions(Continuation):
         return self
 
 
+class AtlasOptions(Continuation):
+    """Options of `atlas`."""
+
+    newton: ClassVar[bool] = True
+    untimed: ClassVar[bool] = True
+
+    max_period: int = Field(
+        default=4, ge=1, le=64, description="Largest period of orbits whose branches, curves and windows are followed"
+    )
+    transient: int = Field(default=512, ge=1, description="Periods before lanes are looked at")
+    n_values: int = Field(
+        default=3, ge=1, description="Number of values of the second axis at which branches and windows are looked for"
+    )
+    n_starts: int = Field(
+        default=0, ge=0, description="Random starts of Newton for orbits at some values of the first axis; needs a box"
+    )
+    equilibria: int = Field(
+        default=0, ge=0, description="The same for equilibria of a flow without a clock, which are followed as well"
+    )
+    seed: int = Field(default=0, ge=0, description="Seed of the random starts")
+    box: dict[str, Side] = Field(
+        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
+    )
+    levels: int = Field(default=4, ge=0, le=8, description="Doublings of a window to locate")
+    crisis: int = Field(default=0, ge=0, description="Periods of a path that looks for the crisis of a window; 0: none")
+    max_steps: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
+
+    @model_validator(mode="after")
+    def _check(self) -> AtlasOptions:
+        asked = "n_starts" if self.n_starts else "equilibria"
+        check_random_starts(self.box, self.n_starts + self.equilibria, "seed" in self.model_fields_set, asked)
+        return self
+
+
 class HomoclinicOptions(Continuation):
     """Options of `homoclinic`."""
 
-    in_time: ClassVar[bool] = True
     newton: ClassVar[bool] = True
+
+    @property
+    def in_time(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Return whether manifolds alone are followed: cycles are looked for on a section."""
+        return not self.cycles
 
     n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles at each value searched")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
@@ -173,6 +211,13 @@ class HomoclinicOptions(Continuation):
     duration: float = Field(default=100.0, gt=0, description="Time for which manifolds of saddles are followed there")
     pulses: int = Field(
         default=1, ge=1, le=8, description="Passages of a saddle that are looked at: orbits return at the last one"
+    )
+    cycles: int | None = Field(
+        default=None,
+        ge=1,
+        le=64,
+        description="Largest number of returns to the section of cycles that are followed over the first axis to where "
+        "their time has no end; by default none are",
     )
     max_steps: int = Field(default=200, ge=2, description="Points of a curve to either side of its first, at most")
 

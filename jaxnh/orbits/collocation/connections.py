@@ -183,7 +183,7 @@ def follow_connections(
     """The curve through an orbit, from one end to the other, between the ends of both parameters' ranges."""
     sides = [_follow(problem, begun, sign, low, high, steps) for sign in (1.0, -1.0)]
     (ahead, last), (back, first) = sides
-    return ConnectionCurve([*(_reversed(stretch) for stretch in back[::-1]), *ahead], (first, last))
+    return ConnectionCurve([*(reversed_stretch(stretch) for stretch in back[::-1]), *ahead], (first, last))
 
 
 # ---- stretches
@@ -252,7 +252,8 @@ def _stretch(equations: ConnectionEquations, track: Solution) -> Stretch:
     return Stretch(points, between)
 
 
-def _reversed(stretch: Stretch) -> Stretch:
+def reversed_stretch(stretch: Stretch) -> Stretch:
+    """The stretch from its other end."""
     last = len(stretch.points) - 1
 
     def between(number: int, share: float) -> Connection | None:

@@ -133,7 +133,7 @@ def homoclinic_orbit(
     """
     intervals = cycle.path.stages.shape[1] if n is None else n
     saddle = saddle_at(problem, near, cycle.values[0])
-    solution = _solve(problem, _cut_open(cycle, saddle.state, problem.size), saddle, intervals)
+    solution = _solve(problem, cut_open(cycle, saddle.state, problem.size), saddle, intervals)
     saddle = saddle_at(problem, saddle.state, solution.values[0])
     more = 0.5 * (_LONGER - 1.0) * solution.duration[0]
     extended = with_ends(problem, solution, saddle, saddle, (more, more))
@@ -205,7 +205,7 @@ def _aligned(rows: Float[np.ndarray, "k d"], reference: Float[np.ndarray, "k d"]
     return np.linalg.solve(rows @ reference.T, rows)
 
 
-def _cut_open(
+def cut_open(
     cycle: BoundarySolution, state: Float[np.ndarray, " d"], size: Float[np.ndarray, " d"]
 ) -> BoundarySolution:
     """The cycle as a path that begins and ends where it is nearest to a state."""

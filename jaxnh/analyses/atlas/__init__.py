@@ -1,0 +1,1 @@
+"""An atlas of a plane of two parameters."""

@@ -1,0 +1,108 @@
+"""Curves of connecting orbits compared: whether an orbit is on one, and one curve of two that overlap. Host code."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.orbits.collocation.connection_meshes import Connection
+from jaxnh.orbits.collocation.connections import ConnectionCurve, Stretch, reversed_stretch
+from jaxnh.orbits.collocation.equations import Problem
+
+_NEAR = 0.1  # sizes and widths: an orbit this near to a chord may be on the curve
+_SAME = 1e-2  # likewise, of the orbit that Newton finds on the curve beside it: boxes are those of points of a mesh
+_BEYOND = 1e-4  # widths: an orbit further beyond the end of a curve continues it
+_LENGTHS = 0.1  # of the length of the path: an orbit of another number of pulses has another one
+
+
+class _Place(NamedTuple):
+    """A place on a curve: the stretch, the point before, and the share of the way to the next."""
+
+    stretch: int
+    point: int
+    share: float
+
+
+def is_on_curve(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> bool:
+    """Return whether an orbit is on a curve."""
+    return _place(problem, curve, orbit) is not None
+
+
+def join_connections(problem: Problem, one: ConnectionCurve, other: ConnectionCurve) -> ConnectionCurve | None:
+    """The curve of two that overlap, as where one or both are cut; None where they do not."""
+    if not (one.stretches and other.stretches):
+        return None if one.stretches else other
+    first, last = (_place(problem, other, point) for point in _ends(one))
+    if first is not None and last is not None:
+        return other
+    begun, ended = (_place(problem, one, point) for point in _ends(other))
+    if begun is not None and ended is not None:
+        return one
+    if (first is None) == (last is None) or (begun is None) == (ended is None):
+        return None
+    one, other = one if first is None else _reversed(one), other if ended is None else _reversed(other)
+    place = _place(problem, other, _ends(one)[1])
+    if place is None:
+        return None
+    return ConnectionCurve([*one.stretches, *_from_place(other, place, _ends(one)[1])], (one.ends[0], other.ends[1]))
+
+
+def _ends(curve: ConnectionCurve) -> tuple[Connection, Connection]:
+    return curve.stretches[0].points[0], curve.stretches[-1].points[-1]
+
+
+def _reversed(curve: ConnectionCurve) -> ConnectionCurve:
+    first, last = curve.ends
+    return ConnectionCurve([reversed_stretch(stretch) for stretch in curve.stretches[::-1]], (last, first))
+
+
+def _from_place(curve: ConnectionCurve, place: _Place, orbit: Connection) -> list[Stretch]:
+    """The stretches from an orbit on a curve to the end of that."""
+    cut, (_, point, share) = curve.stretches[place.stretch], place
+
+    def between(number: int, rest: float) -> Connection | None:
+        return cut.between(point + number, rest if number else share + rest * (1.0 - share))
+
+    return [Stretch([orbit, *cut.points[point + 1 :]], between), *curve.stretches[place.stretch + 1 :]]
+
+
+def _place(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> _Place | None:
+    """The place of an orbit on a curve, None where it is on none: the nearest chord, and by Newton the orbit there."""
+    values, shape = orbit.values / problem.widths, _shape(problem, orbit)
+    nearest, least = None, _NEAR
+    for number, stretch in enumerate(curve.stretches):
+        chain = np.array([point.values for point in stretch.points]) / problem.widths
+        shapes = [_shape(problem, point) for point in stretch.points]
+        for k, chord in enumerate(np.diff(chain, axis=0)):
+            gap = values - chain[k]
+            share = float(np.clip(gap @ chord / max(chord @ chord, 1e-300), 0.0, 1.0))
+            between = (1.0 - share) * shapes[k] + share * shapes[k + 1]
+            away = max(float(np.linalg.norm(gap - share * chord)), float(np.abs(between - shape).max()))
+            if away <= least:
+                nearest, least = (_Place(number, k, share), chord), away
+    if nearest is None:
+        return None
+    place, chord = nearest
+    there = curve.stretches[place.stretch].between(place.point, place.share)
+    if there is None:
+        return None
+    gap = values - there.values / problem.widths
+    on = place.share + gap @ chord / max(chord @ chord, 1e-300)  # along the chord
+    beyond = abs(on - np.clip(on, 0.0, 1.0)) * np.linalg.norm(chord)
+    across = np.linalg.norm(gap - (on - place.share) * chord)
+    lengths = [_length(problem, point) for point in (there, orbit)]
+    same = max(across, np.abs(_shape(problem, there) - shape).max()) <= _SAME
+    return place if same and beyond <= _BEYOND and abs(lengths[0] - lengths[1]) <= _LENGTHS * lengths[1] else None
+
+
+def _shape(problem: Problem, orbit: Connection) -> Float[np.ndarray, " 4d"]:
+    """The box around an orbit and its ends, in sizes."""
+    ends = orbit.solution.path.ends[0] / problem.size
+    return np.concatenate([ends.min(axis=0), ends.max(axis=0), ends[0], ends[-1]])
+
+
+def _length(problem: Problem, orbit: Connection) -> float:
+    """The length of an orbit, in sizes."""
+    return float(np.linalg.norm(np.diff(orbit.solution.path.ends[0] / problem.size, axis=0), axis=1).sum())
