@@ -61,7 +61,7 @@ OPTIONS = {
     },
     "rotation": {"transient": 64, "periods": 128},
     "tori": {"transient": 64, "periods": 128},
-    "transport": {"transient": 1024, "periods": 2048, "path": ("u",)},
+    "transport": {"transient": 128, "periods": 256, "path": ("u",)},
     "manifolds": {
         "box": {"u": (-0.5, 0.5)},
         "n_starts": 4,
@@ -81,6 +81,7 @@ OPTIONS = {
         "reach": 0.25,
     },
 }
+BY_LANE = ("edges", "orbits")  # lanes one by one, or so many points of each: of the first axis the ends alone
 UNSTABLE_ALONE = {"manifolds": OPTIONS["manifolds"] | {"kind": "unstable"}}
 
 
@@ -863,7 +864,8 @@ KINDS = {
             "manifolds": manifolds_of_saddles,
             "edges": no_edges(1, "one_attractor"),
         },
-        options=starts_between("x1", -0.2, 0.2),
+        options=starts_between("x1", -0.2, 0.2)
+        | {"transport": OPTIONS["transport"] | {"path": ("x1",), "transient": 1024}},  # it comes to rest slowly
     ),
     "no forcing, on a section": Kind(
         "system: {constraint: constant_speed, without: [forcing]}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1}\n"
@@ -950,6 +952,17 @@ def test_a_group_that_breaks_the_contract():
         contract.check("period", good.drop_vars("status"), UNSAID)
 
 
+def groups_of(kind, analysis):
+    """All groups of an analysis of a kind, with those that it needs."""
+    asked = {analysis: (OPTIONS | KINDS[kind].options)[analysis]}
+    if analysis == "verdict":
+        asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs}
+    axis = session(kind).experiment.axes[0]
+    few = {axis.name: axis.values[[0, -1]]} if analysis in BY_LANE else {}
+    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
+        return session(kind).groups(asked, **few)
+
+
 def drawn(data):
     """What is on each of the axes of a figure, or why there is none."""
     try:
@@ -964,10 +977,7 @@ def test_figures_need_no_attributes(kind, analysis):
     """A group without attributes is drawn with as many lines and areas, or what it lacks is said in words."""
     if isinstance(KINDS[kind].known[analysis], str):
         return
-    asked = {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs} if analysis == "verdict" else {}
-    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
-        groups = session(kind).groups(asked | {analysis: OPTIONS[analysis]})
-    for data in groups.values():
+    for data in groups_of(kind, analysis).values():
         whole, bare = drawn(data), drawn(data.drop_attrs())
         if isinstance(bare, str) and bare != whole:
             assert "has no flag_meanings, the words of its numbers" in bare
@@ -980,15 +990,12 @@ def test_figures_need_no_attributes(kind, analysis):
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_analysis(kind, analysis):
     assert set(KINDS[kind].known) == set(ANALYSES), "a new analysis: say what each kind of scene knows of it"
-    known, asked = KINDS[kind].known[analysis], {analysis: (OPTIONS | KINDS[kind].options)[analysis]}
-    if analysis == "verdict":
-        asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs}
+    known = KINDS[kind].known[analysis]
     if isinstance(known, str):
         with pytest.raises(InputError, match=re.escape(known)):
-            session(kind).groups(asked)
+            groups_of(kind, analysis)
         return
-    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
-        groups = session(kind).groups(asked)
+    groups = groups_of(kind, analysis)
     units = session(kind).experiment.flow().labels.units
     for name, group in groups.items():
         contract.check(name, group, [key for key, unit in units.items() if not unit])
