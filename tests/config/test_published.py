@@ -285,7 +285,7 @@ def test_a_roller_racer_whose_angle_is_given_speeds_up_for_ever():
     With friction it is bounded; the pivots of its constraints are then decided by time alone, in a loop over stages.
     """
     start = "system: {file: racer.py}\ninitial: {along: 0.2}\naccuracy: {solver: verner9, steps: 60}\n"
-    free = start + "sweep: {swing: {values: [0.8]}}\nanalyses: {transport: {growth: [along], periods: 256}}"
+    free = start + "sweep: {swing: {values: [0.8]}}\nanalyses: {transport: {growth: [along], periods: 512}}"
     data = groups_of(free, RACER)["transport"]
     assert np.all(np.abs(data["along_growth"] - 1.0) <= data["along_growth_error"])
     assert float(data["along_growth_error"].max()) < 0.1
