@@ -26,6 +26,7 @@ from jaxnh.engine.executor import programs
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow
+from jaxnh.systems.straight_pieces import equations_within
 from tests.flows import constrained_oscillators, known_maps, moebius, paper_equations
 from tests.flows.moebius import TURN
 from tests.helpers import contract, taylor
@@ -62,7 +63,7 @@ OPTIONS = {
     },
     "rotation": {"transient": 64, "periods": 128},
     "tori": {"transient": 64, "periods": 128},
-    "transport": {"transient": 1024, "periods": 2048, "path": ("u",)},
+    "transport": {"transient": 128, "periods": 256, "path": ("u",)},
     "manifolds": {
         "box": {"u": (-0.5, 0.5)},
         "n_starts": 4,
@@ -82,18 +83,28 @@ OPTIONS = {
         "reach": 0.25,
     },
 }
+BY_LANE = ("edges", "orbits")  # lanes one by one, or so many points of each: of the first axis the ends alone
 UNSTABLE_ALONE = {"manifolds": OPTIONS["manifolds"] | {"kind": "unstable"}}
 
 
 @pytest.fixture(autouse=True, scope="module")
 def lowered_for_cuda_too():
-    """Lower every program for CUDA as well, on any machine: in float64, by no call of the host or of a CPU's library."""
+    """Lower programs for CUDA as well, on any machine: in float64, by no call of the host or of a CPU's library.
+
+    Rules of lowering are those of operations on types of numbers: a program that has none that is new is as those before.
+    """
+    seen = set()
 
     def lower(traced):
-        text = traced.lower(lowering_platforms=("cuda",)).as_text()
-        assert "callback" not in text
-        assert {call[:2] for call in re.findall(r"custom_call @(\w+)", text)} <= {"cu"}  # cuSOLVER and the like
-        assert not re.search(r"\b(f32|f16|bf16)\b", text)
+        outer = traced.jaxpr.jaxpr.eqns
+        equations = [inner for equation in outer for inner in (equation, *equations_within(equation))]
+        operations = {(e.primitive.name, *(str(v.aval.dtype) for v in (*e.invars, *e.outvars))) for e in equations}
+        if not operations <= seen:
+            seen.update(operations)
+            text = traced.lower(lowering_platforms=("cuda",)).as_text()
+            assert "callback" not in text
+            assert {call[:2] for call in re.findall(r"custom_call @(\w+)", text)} <= {"cu"}  # cuSOLVER and the like
+            assert not re.search(r"\b(f32|f16|bf16)\b", text)
         return traced.lower()
 
     with mock.patch.object(programs, "_lower", lower):
@@ -806,7 +817,7 @@ KINDS = {
     ),
     "T, Q, f with a constraint that is projected": Kind(
         "system: {file: FILE}\ninitial: {x: 0.1, x_dot: 0.1, y: 0.1, y_dot: 0.99498743710662}\n"
-        "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: tsit5, steps: 400}",
+        "sweep: {b: {start: 5.88, stop: 5.8, count: 5}}\naccuracy: {solver: dopri8, steps: 80}",
         particle(("x", "y", "x_dot", "y_dot")) | {"homoclinic": NOT_ISOLATED},
         paper_equations.PARTICLE,
         starts_between("x", 0.0, 0.2),
@@ -918,7 +929,8 @@ KINDS = {
             "manifolds": manifolds_of_saddles,
             "edges": no_edges(1, "one_attractor"),
         },
-        options=starts_between("x1", -0.2, 0.2),
+        options=starts_between("x1", -0.2, 0.2)
+        | {"transport": OPTIONS["transport"] | {"path": ("x1",), "transient": 1024}},  # it comes to rest slowly
     ),
     "no forcing, on a section": Kind(
         "system: {constraint: constant_speed, without: [forcing]}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1}\n"
@@ -961,6 +973,20 @@ KINDS = {
         options=starts_between("x1", 0.0, 0.2),
     ),
 }
+
+DEAR = ("basins", "orbits", "covariant", "edges")
+BROTHERS = {
+    "steps of a lane's own": ("a right-hand side with a clock",),
+    "a right-hand side with jumps on a section": ("a right-hand side with jumps", "a right-hand side on a section"),
+    "T, Q, f with a constraint that is projected": ("T, Q, f with a constraint that is eliminated",),
+    "T, Q, f with a constraint that comes and goes": (
+        "a right-hand side with jumps",
+        "T, Q, f with a constraint that is eliminated",
+    ),
+    "T, Q, f without a clock": ("a right-hand side on a section", "T, Q, f with a constraint that is eliminated"),
+    "no forcing, on a section": ("a right-hand side on a section", "the particle, disturbed"),
+}
+"""Kinds that join what others have, whose cells of `DEAR` analyses take seconds each and are slow."""
 
 
 # ---- cells
@@ -1006,6 +1032,17 @@ def test_a_group_that_breaks_the_contract():
         contract.check("period", good.drop_vars("status"), UNSAID)
 
 
+def groups_of(kind, analysis):
+    """All groups of an analysis of a kind, with those that it needs."""
+    asked = {analysis: (OPTIONS | KINDS[kind].options)[analysis]}
+    if analysis == "verdict":
+        asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs}
+    axis = session(kind).experiment.axes[0]
+    few = {axis.name: axis.values[[0, -1]]} if analysis in BY_LANE else {}
+    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
+        return session(kind).groups(asked, **few)
+
+
 def drawn(data):
     """What is on each of the axes of a figure, or why there is none."""
     try:
@@ -1020,10 +1057,7 @@ def test_figures_need_no_attributes(kind, analysis):
     """A group without attributes is drawn with as many lines and areas, or what it lacks is said in words."""
     if isinstance(KINDS[kind].known[analysis], str):
         return
-    asked = {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs} if analysis == "verdict" else {}
-    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
-        groups = session(kind).groups(asked | {analysis: OPTIONS[analysis]})
-    for data in groups.values():
+    for data in groups_of(kind, analysis).values():
         whole, bare = drawn(data), drawn(data.drop_attrs())
         if isinstance(bare, str) and bare != whole:
             assert "has no flag_meanings, the words of its numbers" in bare
@@ -1032,19 +1066,33 @@ def test_figures_need_no_attributes(kind, analysis):
             assert bare == whole
 
 
-@pytest.mark.parametrize("analysis", ANALYSES)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "brothers"), BROTHERS.items())
+def test_what_is_slow_has_quick_brothers(kind, brothers):
+    """What a kind that joins others has of a dear analysis, each of these has too, in every run of the quick tests."""
+    for brother in brothers:
+        assert brother not in BROTHERS
+        for analysis in DEAR:
+            refused = [isinstance(KINDS[name].known[analysis], str) for name in (kind, brother)]
+            assert not (refused[1] and not refused[0])
+
+
+def cells():
+    """Kinds and analyses; slow are the dear analyses, but for those that are refused, of kinds that join others."""
+    for kind, scene in KINDS.items():
+        for analysis in ANALYSES:
+            joined = kind in BROTHERS and analysis in DEAR and not isinstance(scene.known.get(analysis), str)
+            yield pytest.param(kind, analysis, marks=[pytest.mark.slow] * joined, id=f"{kind}-{analysis}")
+
+
+@pytest.mark.parametrize(("kind", "analysis"), list(cells()))
 def test_every_analysis(kind, analysis):
     assert set(KINDS[kind].known) == set(ANALYSES), "a new analysis: say what each kind of scene knows of it"
-    known, asked = KINDS[kind].known[analysis], {analysis: (OPTIONS | KINDS[kind].options)[analysis]}
-    if analysis == "verdict":
-        asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs}
+    known = KINDS[kind].known[analysis]
     if isinstance(known, str):
         with pytest.raises(InputError, match=re.escape(known)):
-            session(kind).groups(asked)
+            groups_of(kind, analysis)
         return
-    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
-        groups = session(kind).groups(asked)
+    groups = groups_of(kind, analysis)
     units = session(kind).experiment.flow().labels.units
     for name, group in groups.items():
         contract.check(name, group, [key for key, unit in units.items() if not unit])

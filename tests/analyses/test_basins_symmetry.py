@@ -33,7 +33,10 @@ def labels(tree):
 PHASES = (-2.9, -1.9, -0.9, 0.1, 1.1, 2.1)
 
 
-@pytest.mark.parametrize(("coupling", "apart"), [(-0.3, 0.0), (0.3, math.pi / 2)])
+@pytest.mark.parametrize(
+    ("coupling", "apart"),
+    [pytest.param(-0.3, 0.0, marks=pytest.mark.slow), (0.3, math.pi / 2)],  # the other is quick
+)
 def test_two_phases(tmp_path, coupling, apart):
     """φ' = 1 + k sin 2(φ − ψ), ψ' = 1 + k sin 2(ψ − φ): δ = φ − ψ has δ' = 2k sin 2δ.
 
@@ -93,7 +96,9 @@ def test_circles_left_and_right(tmp_path):
 @pytest.mark.parametrize(
     ("coordinates", "rates", "rest", "reason"),
     [
-        (("theta", "rate"), "rate, -jnp.sin(theta)", '"angles": ("theta",)', 2),
+        pytest.param(  # the two others are quick
+            ("theta", "rate"), "rate, -jnp.sin(theta)", '"angles": ("theta",)', 2, marks=pytest.mark.slow
+        ),
         (("x", "v"), "v, 0.2 * jnp.cos(t) - x**3", '"period": 2 * jnp.pi', 2),
         (("prey", "hunter"), "prey * (1.0 - jnp.exp(hunter)), hunter * 0.0 + prey - 1.0", "", 1),
     ],

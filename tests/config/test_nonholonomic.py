@@ -20,6 +20,7 @@ from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 FOLDER = ROOT / "configs/nonholonomic"
 STATES = 40
 EXACT = 1e-12  # of accelerations near ten, from some hundred products
@@ -325,7 +326,7 @@ def test_a_snakeboard_speeds_up_by_its_drive_gait():
     )
     session = session_of(made)
     u = session.run(jaxnh.Poincare(transient=0, strobes=65))["along"].to_numpy()
-    data = session.run(jaxnh.Transport(growth=("along",), periods=512))
+    data = session.run(jaxnh.Transport(growth=("along",), periods=256))
     t = 2 * np.pi * np.arange(512) / 512
     for lane, lag in enumerate((0.3, -0.8)):
         slope = np.tan(0.6 * np.sin(t + lag)) / 0.5

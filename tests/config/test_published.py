@@ -289,7 +289,7 @@ def test_a_roller_racer_whose_angle_is_given_speeds_up_for_ever():
     data = groups_of(free, RACER)["transport"]
     assert np.all(np.abs(data["along_growth"] - 1.0) <= data["along_growth_error"])
     assert float(data["along_growth_error"].max()) < 0.1
-    rubbed = start + "sweep: {damping: {values: [0.1]}}\nanalyses: {transport: {growth: [along], periods: 512}}"
+    rubbed = start + "sweep: {damping: {values: [0.1]}}\nanalyses: {transport: {growth: [along], periods: 256}}"
     assert words(groups_of(rubbed, RACER)["transport"]["along_kind"]) == ["bounded"]
 
 

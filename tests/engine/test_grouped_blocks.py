@@ -59,6 +59,7 @@ OPTIONS = {
 }
 
 
+@pytest.mark.slow  # in small: test_tiles_of_several_rows
 def test_bits_are_those_of_each_value_alone():
     """Over orbits of many periods and chaos, all exponents with their sum rule, rows of unlike numbers of lanes.
 

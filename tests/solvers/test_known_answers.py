@@ -34,7 +34,7 @@ QUICK = {  # beside all splittings: one compiles a flow's Runge–Kutta steps fo
     "linear oscillator": (*RUNGE_KUTTA, *NYSTROM),
     "Duffing at small amplitude": ("verner9", "nystrom8"),
     "Hopf on a section": ("tsit5",),
-    "sleigh": ("tsitouras_papakostas8",),
+    "sleigh": ("tsit5",),
     "Lorenz": ("dopri8",),
     "particle, disturbed": ("tsit5",),
 }
