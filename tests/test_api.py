@@ -323,7 +323,10 @@ OTHERS = {
         ),
         "of a validator: caught by the config or the session, which say it in a line",
     ),
-    "RuntimeError": {"engine/dask_workers.py": "in a worker: becomes a RunError in the process of the run"},
+    "RuntimeError": {
+        "engine/dask_workers.py": "in a worker: becomes a RunError in the process of the run",
+        "engine/kernels/cuda.py": "a kernel that the compiler refuses: a flaw of the package",
+    },
     "self.error": {"storage/atomic.py": "the OSError of a write, which the writer of files says in a sentence"},
     "SystemExit": dict.fromkeys(
         ("sweep.py", "plot.py", "cost.py", "inspect.py", "explore.py"), "the exit code of a command"
@@ -333,6 +336,10 @@ OTHERS = {
         "maps/inverse.py": "a map that has no inverse: an error of the caller's program, whom analyses check first",
         "storage/hdf5.py": "within one that is read: among UNREADABLE, caught by all readers",
     },
+    "UnsupportedError": dict.fromkeys(
+        (f"engine/kernels/{name}.py" for name in ("arithmetic", "arrays", "control", "emitter", "source", "values")),
+        "caught where a kernel is asked for: XLA compiles the function",
+    ),
     "_NoPointError": {"orbits/collocation/bifurcations.py": "within the search for a zero: caught there"},
     "np.linalg.LinAlgError": {
         "orbits/collocation/adjoint.py": "singular equations, as NumPy's own: caught by the meshes"
@@ -341,6 +348,7 @@ OTHERS = {
     "ValueError": {
         "analyses/batch.py": "a batch without a line: an error of the caller's program",
         "maps/general_flow.py": "lanes with a parameter that the flow does not know of: likewise",
+        "explorer/fixed_parameters.py": "caught at once: what is not written out is not known",
         "maps/family.py": "maps that do not go into one program: likewise",
         "systems/particle_parameters.py": "no common period: an argument of a constructor; caught by the config",
     },

@@ -165,9 +165,7 @@ def in_quickest_form(
 
     On a graphics card they are written out: arrays of stages would leave the registers.
     """
-    if on_card:
-        return plan
-    return plan._replace(solver=cost_model.quickest_form(*_job(experiment, axes, plan, requested)))
+    return plan if on_card else plan._replace(solver=cost_model.quickest_form(*_job(experiment, axes, plan, requested)))
 
 
 def with_step_classes(

@@ -96,7 +96,8 @@ def _try_texts(config: Path, overrides: Sequence[str], texts: dict[Path, str]) -
 
 def main() -> None:
     """Answer one question."""
-    question = json.loads(sys.stdin.read())
+    with os.fdopen(0, encoding="utf-8") as source:
+        question = json.load(source)
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as sink:
         os.dup2(2, 1)  # whatever a user's file prints is no answer
         import jaxnh.cli.experiments

@@ -194,7 +194,8 @@ def test_defaults_go_with_everything_along_a_parameter():
         setting = Setting(flow, False, (LANES_B, SHARED), "float64", functools.partial(_same, flow))
         for analysis in ANALYSES.values():
             # Branches and windows are along one axis, curves over two that lanes may differ in.
-            along = {"branches": (LANES_B,), "windows": (LANES_B,), "curves": (LANES_B, LANES_A)}
+            along = {"branches": (LANES_B,), "windows": (LANES_B,)}
+            along |= dict.fromkeys(("curves", "atlas"), (LANES_B, LANES_A))
             axes = along.get(analysis.name, setting.axes)
             if analysis.name not in (*IN_A_BOX, "transport"):
                 analysis.check(analysis.options(), setting._replace(axes=axes))

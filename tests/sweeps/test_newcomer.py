@@ -15,6 +15,7 @@ WITHOUT = {
     "config.md",
     "covariant.md",
     "edges.md",
+    "graphics_card.md",
     "homoclinic.md",
     "manifolds.md",
     "orbits.md",
