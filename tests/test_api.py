@@ -340,6 +340,7 @@ OTHERS = {
         (f"engine/kernels/{name}.py" for name in ("arithmetic", "arrays", "control", "emitter", "source", "values")),
         "caught where a kernel is asked for: XLA compiles the function",
     ),
+    "_UnknownEquationError": {"systems/small_arrays.py": "caught at once: such a right-hand side stays as it is"},
     "_NoPointError": {"orbits/collocation/bifurcations.py": "within the search for a zero: caught there"},
     "np.linalg.LinAlgError": {
         "orbits/collocation/adjoint.py": "singular equations, as NumPy's own: caught by the meshes"
