@@ -1,11 +1,12 @@
-"""What a graphics card gains: maps beside plain diffrax on the same device, spectra, charts, basins, Newton on orbits.
+"""What a graphics card gains: maps beside plain diffrax on the same device, spectra, charts, basins, Newton.
 
-    python -m sweeps.timing.gpu [--small] [--repeats 3] [--output results/gpu.md]
+    python -m sweeps.timing.gpu [--small] [--repeats 3] [--tuned FILE] [--output results/gpu.md]
 
 All of it runs on the device that JAX has first, a CPU as well; `--small` has sizes that a CPU does in minutes. A map's
 solver and steps are the fastest that keep the error asked for, of either program, the truth being a Taylor integration
-on the host. Scenes are run in memory, and what they compiled stands apart; a chart in levels is written to a file. The
-last table has the rows that GPUODEBenchmarks takes, in its own units: milliseconds of the best run.
+on the host; without heyoka there `--tune FILE` finds them elsewhere and `--tuned FILE` takes them. Scenes
+are run into files, twice, the second time with the programs of the first. The last table has the rows that
+GPUODEBenchmarks takes, in its own units: milliseconds of the best run.
 """
 
 from __future__ import annotations
@@ -64,7 +65,6 @@ class Sizes(NamedTuple):
 
 
 FULL = Sizes((1e-6, 1e-9), (1 << 12, 1 << 16, 1 << 20), 1 << 16, 100_000, (1024, 4096), (10_000, 6), 1024)
-MIDDLE = FULL._replace(lanes=(1 << 16, 1 << 20), charts=(1024,), levels=(3200, 6), basins=256)
 SMALL = Sizes((1e-6,), (256,), 64, 64, (16,), (33, 3), 16)
 
 
@@ -280,7 +280,14 @@ def measured_benchmark(lanes: int, repeats: int) -> BenchmarkRow:
     return BenchmarkRow(lanes, ours, best(lambda: stock(device_rho)))
 
 
-def page(device: str, maps: list[MapRow], scenes: list[SceneRow], rows: list[BenchmarkRow], small: bool) -> str:
+def page(
+    device: str,
+    maps: list[MapRow],
+    scenes: list[SceneRow],
+    agreed: list[AgreementRow],
+    rows: list[BenchmarkRow],
+    small: bool,
+) -> str:
     """The page in Markdown."""
     plain = jax.devices()[0].platform == "cpu"
     lines = [
@@ -321,6 +328,12 @@ def page(device: str, maps: list[MapRow], scenes: list[SceneRow], rows: list[Ben
             for s in scenes
         ),
         "",
+        "## The same numbers as on the host",
+        "",
+        "| numbers | how many | on one side alone | largest difference | within the bar of the difference |",
+        "|---|---|---|---|---|",
+        *(f"| {a.name} | {a.numbers} | {a.alone} | {a.apart:.2g} | {100 * a.within:.3g} % |" for a in agreed),
+        "",
         "## Rows for GPUODEBenchmarks",
         "",
         "Lorenz's flow as that suite has it, in float64: a thousand steps of Tsit5; milliseconds, the best run.",
@@ -349,10 +362,10 @@ def main() -> None:
         return
     tuned = pickle.loads(arguments.tuned.read_bytes()) if arguments.tuned else tuned_maps(sizes)
     device = processor() if first.platform == "cpu" else first.device_kind
-    maps, scenes, rows = list[MapRow](), list[SceneRow](), list[BenchmarkRow]()
+    maps, scenes, agreed, rows = list[MapRow](), list[SceneRow](), list[AgreementRow](), list[BenchmarkRow]()
 
     def keep() -> None:
-        arguments.output.write_text(page(device, maps, scenes, rows, arguments.small), encoding="utf-8")
+        arguments.output.write_text(page(device, maps, scenes, agreed, rows, arguments.small), encoding="utf-8")
 
     for lanes in sizes.lanes:
         rows.append(measured_benchmark(lanes, arguments.repeats))
@@ -360,6 +373,10 @@ def main() -> None:
     for name, content in scenes_of(sizes):
         scenes.append(measured_scene(name, content))
         print(scenes[-1], flush=True)
+        keep()
+    for row in agreements():
+        agreed.append(row)
+        print(row, flush=True)
         keep()
     for row in measured_maps(sizes, tuned):
         maps.append(row)

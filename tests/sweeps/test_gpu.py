@@ -18,7 +18,9 @@ def test_newton_and_the_page():
     assert 0 < scene.compiling < scene.seconds
     assert scene.memory > 1 << 26
     made = gpu.MapRow("lorenz", 1e-6, 8, "ours", 200.0, "theirs", 100.0)
-    text = gpu.page("a processor", [made], [scene], [gpu.BenchmarkRow(8, 1.0, 2.0)], small=True)
+    agreed = [gpu.AgreementRow("exponents", 3, 0, 1e-9, 1.0)]
+    text = gpu.page("a processor", [made], [scene], agreed, [gpu.BenchmarkRow(8, 1.0, 2.0)], small=True)
+    assert "| exponents | 3 | 0 | 1e-09 | 100 % |" in text
     assert "No graphics card was at hand" in text
     assert "| lorenz | 1e-06 | 8 | ours | 200 | theirs | 100 | 2 |" in text
     assert "there is no row to hand in" in text
