@@ -39,6 +39,10 @@ _LONGEST_ON_CARD = 1 << 28  # lane-periods in place of `_LONGEST`: seconds
 
 _ROOM = 128  # periods recorded in a call; what is not needed of it takes a hundredth of the time of 64
 
+_ALWAYS_SPREAD = 4
+"""Devices of which a call of one tile takes all: it has the program of longer calls, which need not be compiled for one
+device too (1.8 s of 10 of configs/table1.yaml). More devices spend more than that on what fills their tiles up."""
+
 _RUNNERS_A_CARD = 3
 _RUNNERS_A_CORE = 2  # of a chart over b and d, 256 values of d: 70 s in place of 77
 
@@ -155,7 +159,7 @@ class LaneExecutor:
             The function's results as NumPy arrays with the lanes as first axis.
         """
         size = self._tile(shared, count_of(lanes), tile)
-        spread = self._spread and count_of(lanes) > size  # other devices would compute what fills up a tile
+        spread = self._spread and (count_of(lanes) > size or len(self.devices) <= _ALWAYS_SPREAD)
         call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, size, periods, spread)
         family = next((part for part in shared if isinstance(part, ParameterFamily)), None)
         if family is None:
