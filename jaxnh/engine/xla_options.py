@@ -133,12 +133,12 @@ def devices_of(config: Config) -> list[Any]:
         ConfigError: JAX finds none of the kind that the config names.
     """
     try:
-        found = jax.devices(config.device)
+        devices = jax.devices(config.device)
     except RuntimeError:
         raise config.missing_device(", ".join(sorted({device.device_kind for device in jax.devices()}))) from None
-    if found[0].platform != "cpu":
+    if devices[0].platform != "cpu":
         jax.config.update("jax_default_device", jax.devices("cpu")[0])
-    return found
+    return devices
 
 
 @cache

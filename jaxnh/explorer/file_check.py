@@ -67,7 +67,7 @@ def check_texts(files: EditedFiles, texts: dict[Path, str], seconds: float = SEC
 
 
 def _fault(answer: str, traces: str, status: int, files: EditedFiles, seconds: float) -> str | None:
-    """What is wrong, by what the process has said and how it has ended; None where nothing is."""
+    """The fault, by what the process has said and how it has ended; None where nothing is."""
     try:
         return json.loads(answer)["fault"]
     except (ValueError, KeyError):
@@ -83,7 +83,7 @@ def _fault(answer: str, traces: str, status: int, files: EditedFiles, seconds: f
 
 
 def _try_texts(config: Path, overrides: Sequence[str], texts: dict[Path, str]) -> str | None:
-    """What is wrong with texts; None where nothing is."""
+    """The fault of texts; None where there is none."""
     from jaxnh.engine.progress import NullProgress
     from jaxnh.explorer.live import live
 

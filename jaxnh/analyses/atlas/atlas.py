@@ -50,7 +50,7 @@ _WORK = 6.0  # of a run, in those of settling: a guess
 
 
 class _Row(NamedTuple):
-    """What is along the first axis at a value of the second: lanes, branches (orbits first), and windows."""
+    """The first axis at a value of the second: lanes, branches (orbits first), and windows."""
 
     value: float
     batch: LaneBatch
@@ -177,7 +177,7 @@ def _dataset(
     followed: CurveSet,
     groups: Mapping[str, xr.Dataset],
 ) -> xr.Dataset:
-    """How much there is of all along each row and over the plane, and the limits up to which that is all."""
+    """Numbers of all there is along each row and over the plane, and the limits up to which that is all."""
     (first, second), dim = sweep.axes, "row"
     columns: dict[str, Entry] = {
         second.name: variable(dim, np.array([row.value for row in rows]), second.long_name, second.units)
@@ -199,7 +199,7 @@ def _dataset(
 
 
 def _limits(options: AtlasOptions, first: str, second: str, rows: Sequence[_Row]) -> str:
-    """What has been looked for, and what is not seen."""
+    """The extent of the search, and its limits."""
     values = ", ".join(f"{row.value:g}" for row in rows)
     starts = f", or Newton finds from {options.n_starts} random starts at some values of {first}"
     equilibria = f"; equilibria that Newton finds from {options.equilibria} random starts"

@@ -51,7 +51,7 @@ _LONG_RETURN = 500
 
 
 class SettledOrbits(NamedTuple):
-    """What lanes have settled on.
+    """Motions that lanes have settled on.
 
     Attributes:
         period: of the orbit, 0 where there is none, (lanes,).
@@ -127,7 +127,7 @@ def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
 
 
 def settle(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> SettledOrbits:
-    """What lanes settle on from their start."""
+    """Motions that lanes settle on from their start."""
     attractors = survey_from_start(batch, lanes, options.max_period, "branches", options.transient)
     return SettledOrbits(attractors.period, attractors.u, np.where(attractors.failed[:, None], np.nan, attractors.size))
 

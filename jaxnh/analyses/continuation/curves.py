@@ -173,8 +173,8 @@ def _attractors(options: CurvesOptions, batches: Sequence[LaneBatch], lanes: Lan
         survey = survey_from_start(batch, lanes, options.max_period, "curves", options.transient)
         waves.append(attractor_waves(batch, lanes, survey.u, np.where(survey.failed, 0, survey.period)))
         sizes.append(survey.size[~survey.failed])
-    found = np.concatenate(sizes) if sizes else np.zeros((0, batches[0].chart.dimension))
-    return _Attractors(waves, np.median(found, axis=0) if len(found) else np.ones(found.shape[1]))
+    extents = np.concatenate(sizes) if sizes else np.zeros((0, batches[0].chart.dimension))
+    return _Attractors(waves, np.median(extents, axis=0) if len(extents) else np.ones(extents.shape[1]))
 
 
 def _of_equilibria(still: EquilibriumCurves) -> CurveSet:

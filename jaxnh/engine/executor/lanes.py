@@ -77,7 +77,7 @@ class LaneExecutor:
 
     @property
     def on_card(self) -> bool:
-        """Whether its devices are graphics cards."""
+        """Answer whether its devices are graphics cards."""
         return self.devices[0].platform != "cpu"
 
     def on_host(self) -> LaneExecutor:

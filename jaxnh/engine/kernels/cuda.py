@@ -25,8 +25,8 @@ _NAMES = ("libnvrtc.so", "libnvrtc.so.13", "libnvrtc.so.12")
 
 def capability_of(device: Any) -> str:
     """Return the capability of a device for which kernels can be compiled here, as "90"; "" where they cannot."""
-    found = _CAPABILITY.fullmatch(str(getattr(device, "compute_capability", "")))
-    return "" if found is None or _nvrtc() is None else found[1] + found[2]
+    capability = _CAPABILITY.fullmatch(str(getattr(device, "compute_capability", "")))
+    return "" if capability is None or _nvrtc() is None else capability[1] + capability[2]
 
 
 def find_kernel(function: Callable[..., Any], shared: Any, one: Any) -> Kernel | None:

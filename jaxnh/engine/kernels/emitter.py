@@ -157,10 +157,10 @@ class Emitter:
         def value(atom: Any, place: int) -> Value:
             if isinstance(atom, Literal):
                 return constant(np.asarray(atom.val, atom.aval.dtype))  # pyright: ignore[reportAttributeAccessIssue]
-            found = known[atom]
-            if isinstance(found, Memory) and found.free and last[atom] > place:
-                return found._replace(free=False)
-            return found
+            present = known[atom]
+            if isinstance(present, Memory) and present.free and last[atom] > place:
+                return present._replace(free=False)
+            return present
 
         for place, equation in enumerate(jaxpr.eqns):
             rule = self._rules.get(equation.primitive.name)

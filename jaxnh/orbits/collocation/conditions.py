@@ -63,7 +63,7 @@ class DurationCondition(NamedTuple):
         return {}
 
     def excess(self, solution: BoundarySolution) -> float:
-        """How far a cycle, one lane, is from the condition: the sign changes where a branch meets it."""
+        """The distance of a cycle, one lane, from the condition: the sign changes where a branch meets it."""
         return float(np.log(solution.duration[0] / self.duration))
 
     def begun(self, solution: BoundarySolution) -> BoundarySolution:
@@ -118,7 +118,7 @@ class ExtremumCondition:
         return {BEYOND: beyond}
 
     def excess(self, solution: BoundarySolution) -> float:
-        """How far a cycle, one lane, is beyond the level; not a number where it is beyond what guards it."""
+        """The height of a cycle, one lane, above the level; not a number where it is beyond what guards it."""
         states, shares = _sampled(solution)
         if any((sign * self._values(height, solution, states, shares)).max() > 0.0 for height, sign in self._guards):
             return np.nan
