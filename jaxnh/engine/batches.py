@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from jaxnh.analyses.base import Analysis
 from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.options.base import Options
-from jaxnh.engine.executor.lanes import TILE
+from jaxnh.engine.executor.lanes import TILE, LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level
 from jaxnh.jobs.cutting import Cutting, Piece
@@ -34,16 +34,14 @@ def batches(
     requested: Requested,
     job: Job,
     pieces: Sequence[Piece],
-    devices: int,
+    lanes: LaneExecutor,
     level: Level | None = None,
-    *,
-    on_card: bool = False,
 ) -> list[list[Piece]]:
     """Pieces that are computed together: tiles in a row, enough for all devices.
 
     They are of the same values of the axes that lanes share, or where it can be of several that have the same period.
     """
-    cutting = job.cutting
+    cutting, devices, on_card = job.cutting, len(lanes.devices), lanes.on_card
     numbers = sum(a.numbers(options) for a, options in requested if a.name in cutting.independent)
     share = sum(lanes_of(piece, level) for piece in pieces) // (_BATCHES * devices)
     most = max(cutting.tile, devices * TILE, min(_LANES_ON_CARD if on_card else _LANES, share))

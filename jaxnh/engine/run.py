@@ -293,9 +293,8 @@ class _Run:
         for numbers in interrupted_batches(self._folder, job):
             if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
                 begun.append([rest.pop(number) for number in numbers])
-        left, axes = list(rest.values()), axes_of(self._experiment.axes, job.cutting)
-        args = self._experiment, axes, self._requested, job, left, len(lanes.devices), self._level
-        return begun + batches(*args, on_card=lanes.on_card)
+        axes, left = axes_of(self._experiment.axes, job.cutting), list(rest.values())
+        return begun + batches(self._experiment, axes, self._requested, job, left, lanes, self._level)
 
     def _run_stage(self, job: Job, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""

@@ -311,8 +311,7 @@ class Session:
             of_lanes[name] = assemble(parts.pop((name, False)), cutting)
             return of_lanes[name]
 
-        there, devices = cutting.pieces(), len(lanes.devices)
-        for batch in batches(experiment, axes, requested, job, there, devices, level, on_card=lanes.on_card):
+        for batch in batches(experiment, axes, requested, job, cutting.pieces(), lanes, level):
             for done in compute(experiment, axes, requested, job, batch, lanes, gather, level):
                 for name, data in done.groups.items():
                     parts.setdefault((name, cutting.is_whole(done.piece)), []).append((done.piece, data))

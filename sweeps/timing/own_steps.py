@@ -86,7 +86,7 @@ def compare(name: str, lanes: int, repeats: int, *, spread: bool) -> Comparison:
     def run(plan: Plan) -> float:
         job = job_of(experiment, axes, plan, {}, requested, {})
         began = time.process_time()
-        for batch in batches(experiment, axes, requested, job, job.cutting.pieces(), 1):
+        for batch in batches(experiment, axes, requested, job, job.cutting.pieces(), runner):
             compute(experiment, axes, requested, job, batch, runner, _gather_none)
         return time.process_time() - began
 

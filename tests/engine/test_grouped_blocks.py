@@ -16,6 +16,7 @@ from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import batches
 from jaxnh.engine.compute import compute
 from jaxnh.engine.executor.grouped_blocks import group_into_blocks
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import job_of
 from jaxnh.jobs.cutting import slab
@@ -106,7 +107,9 @@ def rows_of_batches(sweep, analyses, **system):
     experiment = Experiment.from_dict(content)
     requested, axes = experiment.requested(), experiment.axes
     job = job_of(experiment, axes, Plan(SOLVER, STEPS, False, 1e-6), {}, requested, {})
-    found = batches(experiment, axes, requested, job, job.cutting.pieces(), 2)
+    found = batches(
+        experiment, axes, requested, job, job.cutting.pieces(), LaneExecutor(devices=jax.devices("cpu")[:1] * 2)
+    )
     return [len({piece.begin[1] for piece in batch}) for batch in found]
 
 
