@@ -39,20 +39,6 @@ def _check_analysis(analysis: Analysis, options: Options, setting: Setting) -> N
         raise rule(str(error), key, f"analyses.{name}", *axes) from None
 
 
-def check_groups(requested: Sequence[tuple[Analysis, Options]]) -> None:
-    """Check that no two analyses make the same group of a result.
-
-    Raises:
-        ValueError: they do; the rule names the key.
-    """
-    for analysis, _ in requested:
-        brought = analysis.whole.brings if analysis.whole else ()
-        for other, _ in requested:
-            if other is not analysis and (twice := {other.name} & {*brought}):
-                message = f"{analysis.name} makes the group {twice.pop()} itself; leave it out"
-                raise rule(message, f"analyses.{other.name}", "analyses")
-
-
 def check_events(flow: Flow, solver: str | None, precision: str) -> None:
     """Check that solver and precision go with a flow that has jumps or switches.
 

@@ -36,10 +36,6 @@ _IN_TURN = 150  # equations of a field from which on tangents take turns: compil
 _CACHE = 72 << 10  # bytes for the stages of a tile: measured, of most flows 128 lanes are faster than 64 and 256
 _MOST_LANES, _FEWEST_LANES = 256, 32
 
-StageField = Callable[[Any, Any], Any]
-"""(stage, state) to its rate: the stage a number of the program, or of a loop."""
-
-
 class Moving(NamedTuple):
     """State carried from step to step.
 
@@ -269,10 +265,6 @@ def linearise_stacked(
 
 def _stacked(trees: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
-
-
-def _unstacked(tree: Any, count: int) -> list[Any]:
-    return [jax.tree.map(lambda leaf, i=i: leaf[i], tree) for i in range(count)]
 
 
 def lanes_per_tile(each: int) -> int:
