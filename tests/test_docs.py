@@ -38,6 +38,18 @@ def test_links_lead_somewhere(page):
         assert "//" in target or not file or (page.parent / file).exists(), target
 
 
+@pytest.mark.parametrize("page", [page for page in PAGES if page.is_relative_to(ROOT / "docs")], ids=name_of)
+def test_links_of_the_built_pages_stay_among_them(page):
+    """A page outside docs/ is a link to no built page, and a results page that is included links as the page that has it."""
+    text = BLOCK.sub("", page.read_text())
+    included = re.findall(r"^```{include} (\S+)", page.read_text(), re.MULTILINE)
+    texts = [text, *((page.parent / other).read_text() for other in included if other.startswith("../../results/"))]
+    for target in (link for text in texts for link in re.findall(r"\]\(([^)\s]+\.md)[)#]", text) if "//" not in link):
+        linked = (page.parent / target).resolve()
+        assert linked.is_relative_to(ROOT / "docs"), target
+        assert linked.exists(), target
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_configs_load(page, tmp_path):
     """Those that are whole, with the user's files that the page writes."""
