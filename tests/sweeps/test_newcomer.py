@@ -26,10 +26,11 @@ WITHOUT = {
 
 
 def test_every_document_is_run():
-    """All pages with something to run, all of the README's examples, and the lines that are left out are few."""
+    """All pages with something to run, all of the README's examples, each with its time in the page of results."""
     pages = {path.name for path in (ROOT / "docs/howto").glob("*.md")}
     run = {name.split("/")[-1].split(":")[0] for name in EXAMPLES if name.startswith("docs/howto/")}
     assert run == pages - WITHOUT
+    assert newcomer.known(newcomer.PAGE.read_text())[1].keys() == EXAMPLES.keys()
     assert sum(name.startswith("README.md: ") for name in EXAMPLES) == 6
     readme = (ROOT / "README.md").read_text()
     shell = [line for language, body in newcomer.blocks(readme) if language == "sh" for line in body.splitlines()]
