@@ -22,7 +22,8 @@ from jaxnh.engine.compute import batch_of, compute
 from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.progress import NullProgress
-from jaxnh.engine.run import RunOptions, run_to_file
+from jaxnh.engine.run import run_to_file
+from jaxnh.engine.run_records import RunOptions
 from jaxnh.exceptions import Stopped
 from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SOLVERS
