@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.maps.build import make_return_map
+from jaxnh.maps.build import make_return_map, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.inverse import make_inverse_map
 from jaxnh.maps.protocol import ReturnMap
@@ -154,7 +154,12 @@ class LaneBatch:
     def strobe(self, refinement: float = 1) -> Maps:
         """Return P with `refinement` times the steps that the accuracy asks for; for a family one for each value."""
         if (family := self.family) is not None:
-            return family.maps(self.system, ("period", refinement), lambda tree: self.with_system(tree).map(refinement))
+            return family.maps(
+                self.system,
+                ("period", refinement),
+                lambda tree: self.with_system(tree).map(refinement),
+                lambda trees: prepare_tables(trees, self.solver, round(self.steps * refinement)),
+            )
         return self.map(refinement)
 
     def map(self, refinement: float = 1) -> ReturnMap:

@@ -22,7 +22,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.smooth_window import half_window_weights
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.build import cut_strobe, maps_between
+from jaxnh.maps.build import cut_strobe, maps_between, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.maps.section import rates
@@ -100,8 +100,12 @@ def _nodes(batch: LaneBatch) -> Quadrature:
 def period_parts(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
     """Return the stacked maps between orthonormalisations, `parts` a period, with `refinement` times the steps."""
     if batch.family is not None:
-        maps, key = batch.family.maps, (parts, refinement)
-        return maps(batch.system, key, lambda system: cut_period(batch.with_system(system), parts, refinement))
+        return batch.family.maps(
+            batch.system,
+            (parts, refinement),
+            lambda system: cut_period(batch.with_system(system), parts, refinement),
+            lambda systems: prepare_tables(systems, batch.solver, refinement * batch.steps, parts),
+        )
     return cut_period(batch, parts, refinement)
 
 

@@ -168,6 +168,9 @@ class LaneExecutor:
         if family.together:
             return self._in_blocks(call, np.array([family.together.index(value) for value in values])[group])
         results, order = [], []
+        for part in shared:
+            if isinstance(part, ParameterFamily):
+                part.prepare(values)
         for k, one in enumerate(values):
             where = np.flatnonzero(group == k)
             trees = tuple(part.at(one) if isinstance(part, ParameterFamily) else part for part in shared)
