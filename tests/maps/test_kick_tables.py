@@ -124,7 +124,7 @@ def test_a_family_makes_its_tables_in_one_go():
             if together:
                 assert maps.stack.trees.table.shape[0] == GROUPS
             else:
-                LaneExecutor()(_kicks, (maps,), ({"d": np.array([value[0] for value in values])},))
+                LaneExecutor()(_kicks, (maps,), ({"b": np.ones(5), "d": np.array([value[0] for value in values])},))
     assert made.call_count == 1
 
 
