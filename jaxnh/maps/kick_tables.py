@@ -7,6 +7,7 @@ import itertools
 import threading
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,16 +23,29 @@ _KEPT = 2048  # tables of whole periods, some tens of KiB each: those of the val
 _TOGETHER = 8  # tables made at once: more no longer fit a core's cache
 _GRIDS = 256
 
-_TABLES: dict[tuple[IsokineticParticle, IsokineticSplitting, int], Table] = {}  # the last `_KEPT`, in this order
+_TABLES: dict[tuple[_Clock, IsokineticSplitting, int], Table] = {}  # the last `_KEPT`, in this order
 _READING = threading.Lock()
 
 
-class _ParticleClocks:
-    """Clocks of particles that differ in c and d alone, at times that have the particles as first axis."""
+class _Clock(NamedTuple):
+    """A particle as far as tables go: its speed and forcing alone, whatever its lanes are."""
 
-    def __init__(self, clocks: Sequence[IsokineticParticle]) -> None:
-        self._first, self._count, self.period = clocks[0], len(clocks), clocks[0].period
-        self._c, self._d = np.array([[clock.c, clock.d] for clock in clocks]).T
+    c: float
+    d: float
+    omega: float
+    without: frozenset[str]
+
+    def particle(self) -> IsokineticParticle:
+        return IsokineticParticle(0.0, *self[:3], None, self.without)
+
+
+class _ParticleClocks:
+    """Clocks that differ in c and d alone, at times that have the particles as first axis."""
+
+    def __init__(self, clocks: Sequence[_Clock]) -> None:
+        self._first, self._count = clocks[0].particle(), len(clocks)
+        self.period = self._first.period
+        self._c, self._d = np.array([clock[:2] for clock in clocks]).T
 
     def at(self, dimensions: int) -> IsokineticParticle:
         """The particle whose c and d go with times of so many dimensions."""
@@ -86,7 +100,7 @@ def whole_periods(systems: Sequence[IsokineticParticle], solver: IsokineticSplit
     with _READING:
         tables = {key: _TABLES[key] for key in keys if key in _TABLES}
     for alike in _groups(list(dict.fromkeys(key[0] for key in keys if key not in tables))):
-        ends = np.zeros(1), np.array([alike[0].period])
+        ends = np.zeros(1), np.array([alike[0].particle().period])
         for clock, table in zip(alike, _processed_tables(alike, solver, steps, ends, 1), strict=True):
             for leaf in table:
                 leaf.flags.writeable = False
@@ -100,24 +114,24 @@ def whole_periods(systems: Sequence[IsokineticParticle], solver: IsokineticSplit
     return [tables[key] for key in keys]
 
 
-def _groups(clocks: Sequence[IsokineticParticle]) -> list[tuple[IsokineticParticle, ...]]:
+def _groups(clocks: Sequence[_Clock]) -> list[tuple[_Clock, ...]]:
     """Groups of at most `_TOGETHER` clocks that differ in c and d alone; constant speed has drifts of its own."""
-    alike: dict[Hashable, list[IsokineticParticle]] = {}
+    alike: dict[Hashable, list[_Clock]] = {}
     for clock in clocks:
-        key = (clock.omega, clock.without) if clock.disturbed and clock.d else clock
+        key = clock[2:] if clock.d and "disturbance" not in clock.without else clock
         alike.setdefault(key, []).append(clock)
     return [tuple(group[k : k + _TOGETHER]) for group in alike.values() for k in range(0, len(group), _TOGETHER)]
 
 
 def _processed_tables(
-    systems: tuple[IsokineticParticle, ...],
+    alike: tuple[_Clock, ...],
     solver: IsokineticSplitting,
     steps: int,
     ends: tuple[np.ndarray, np.ndarray],
     smallest: int,
 ) -> list[Table]:
     """Tables of clocks between ends (1, …), each the one that its clock has alone, bit for bit."""
-    grid, clocks, (t0, t1), (at, length) = _smooth_grid(systems), _ParticleClocks(systems), ends, solver.sequence(steps)
+    grid, clocks, (t0, t1), (at, length) = _smooth_grid(alike), _ParticleClocks(alike), ends, solver.sequence(steps)
     start = grid.share(t0)
     step = (grid.share(t1) - start) / steps
     t = grid.time(start[..., None] + step[..., None] * at)
@@ -128,18 +142,16 @@ def _processed_tables(
     drift = np.asarray(clocks.at(t.ndim + 1).path_length(nodes[..., :-1], nodes[..., 1:]))
     kicks = np.stack([drift[..., :-1], weight, *([system.forcing(t) * weight] if system.forced else [])], axis=-1)
     table, count, rest = _table(kicks, drift[..., -1], max(smallest, kicks.shape[-2]))
-    return [(table[k], count[k, ...], rest[k, ...]) for k in range(len(systems))]
+    return [(table[k], count[k, ...], rest[k, ...]) for k in range(len(alike))]
 
 
 @functools.lru_cache(_GRIDS)
-def _smooth_grid(clocks: tuple[IsokineticParticle, ...]) -> SmoothGrid:
+def _smooth_grid(clocks: tuple[_Clock, ...]) -> SmoothGrid:
     return SmoothGrid(_ParticleClocks(clocks))
 
 
-def _clock_of(system: IsokineticParticle) -> IsokineticParticle:
-    """The system as far as tables go: its speed and forcing alone, whatever its lanes are."""
-    c, d, omega = (float(value) for value in (system.c, system.d, system.omega))
-    return IsokineticParticle(0.0, c, d, omega, None, system.without)
+def _clock_of(system: IsokineticParticle) -> _Clock:
+    return _Clock(float(system.c), float(system.d), float(system.omega), system.without)
 
 
 def cut_table(whole: Table, parts: int, kicks: int, *, smallest: int = 1) -> Table:

@@ -103,7 +103,7 @@ class CountingTiles:
 
     def run(self, call, first=0):
         filled = -(-len(jax.tree.leaves(call.lanes)[0]) // call.tile) * call.tile
-        self.lane_steps += filled * call.periods * inner_trip_count(call.shared)
+        self.lane_steps += filled * sum(link.periods * inner_trip_count(link.shared) for link in call.links)
         return self.tiles.run(call, first)
 
 
