@@ -100,7 +100,7 @@ def test_tables_of_many_values_are_those_made_alone(c):
         constant_speed(c=c),
         disturbed_speed(c=c, d=0.1, without=("forcing",)),
     ]
-    with mock.patch.object(kick_tables, "_TABLES", {}):
+    with mock.patch.object(kick_tables, "_TABLES", {}), mock.patch.object(kick_tables, "_TOGETHER", 8):
         together = kick_tables.whole_periods(systems, solver, steps)
     for system, tables in zip(systems, together, strict=True):
         alone = kick_tables.processed_table(system, solver, steps, (0.0, system.period))
