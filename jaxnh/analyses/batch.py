@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.maps.build import make_return_map
+from jaxnh.maps.build import make_return_map, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.inverse import make_inverse_map
 from jaxnh.maps.protocol import ReturnMap
@@ -154,7 +154,12 @@ class LaneBatch:
     def strobe(self, refinement: float = 1) -> Maps:
         """Return P with `refinement` times the steps that the accuracy asks for; for a family one for each value."""
         if (family := self.family) is not None:
-            return family.maps(self.system, ("period", refinement), lambda tree: self.with_system(tree).map(refinement))
+            return family.maps(
+                self.system,
+                ("period", refinement),
+                lambda tree: self.with_system(tree).map(refinement),
+                lambda trees: prepare_tables(trees, self.solver, round(self.steps * refinement)),
+            )
         return self.map(refinement)
 
     def map(self, refinement: float = 1) -> ReturnMap:
@@ -217,6 +222,29 @@ def iterate_units(system: System) -> str:
     return "units of time 2 pi/omega" if "omega" in system.flow.parameters else "units of time"
 
 
+def keep_all(result: Any) -> tuple[Any, Any]:
+    """Leave all of a result to the next function, and bring all of it to the host."""
+    return result, result
+
+
+class Link(NamedTuple):
+    """A function of a chain over lanes: function(*shared, *lane, *static), the first of `lane` from the link before.
+
+    Attributes:
+        function: pure function of one lane, defined at module level (programs are kept by it).
+        shared: pytrees that all lanes see alike, or families, of which a lane sees the tree at its own values.
+        static: further hashable arguments, part of the program.
+        periods: periods that a lane costs.
+        keep: of the result, what the next link takes, and what comes to the host; nothing is computed in it.
+    """
+
+    function: Callable[..., Any]
+    shared: tuple[Any, ...]
+    static: tuple[Any, ...] = ()
+    periods: float = 0.0
+    keep: Callable[[Any], tuple[Any, Any]] = keep_all
+
+
 class LaneRunner(Protocol):
     """Runs a per-lane function over any number of lanes (`jaxnh.engine.executor.lanes.LaneExecutor`)."""
 
@@ -238,6 +266,23 @@ class LaneRunner(Protocol):
 
     def record(self, maps: Maps, count: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
         """Return the states of every lane after 1, 2, …, count periods, components (lanes, count)."""
+        ...
+
+    def observe(
+        self,
+        maps: Maps,
+        count: int,
+        lanes: tuple[State, Parameters],
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        *,
+        tile: int | None = None,
+    ) -> tuple[Any, State]:
+        """Return function(*shared, state) of the states of `record`, (lanes, count, …), and the last of them."""
+        ...
+
+    def chain(self, links: Sequence[Link], lanes: tuple[Any, ...], *, tile: int | None = None) -> list[Any]:
+        """Return what comes to the host of each of some functions, each of what the one before leaves on the device."""
         ...
 
     def stage(self, label: str, total: float) -> AbstractContextManager[None]:

@@ -28,7 +28,7 @@ from jaxnh.analyses.base import LANE, Analysis, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.chaos import Chaos01Options
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.section_points import points_at, states_after
+from jaxnh.analyses.section_points import points_and_end
 from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
@@ -56,10 +56,10 @@ def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     angles = np.pi / 5 + 3 * np.pi / 5 * ((np.arange(_ANGLES) * (np.sqrt(5.0) - 1) / 2) % 1.0)
     cost = options.transient + options.periods
     with lanes.stage(f"chaos01: {batch.count} lanes", batch.count * cost):
-        states = states_after(batch, lanes, batch.start, options.transient, options.periods, _TILE)
-    first = np.ascontiguousarray(points_at(batch, lanes, states, _TILE)[:, :, 0])
+        points, end = points_and_end(batch, lanes, batch.start, options.transient, options.periods, _TILE)
+    first = np.ascontiguousarray(points[:, :, 0])
     k = lanes(_growth, (angles,), (first,), tile=_TILE, static=(batch.chart.angles[0],))
-    ended = reports(batch.flow, jax.tree.map(lambda component: component[:, -1:], states))["status"]
+    ended = reports(batch.flow, jax.tree.map(lambda component: component[:, None], end))["status"]
     k[np.asarray(ended.data) > 0] = np.nan
     low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
     words = "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"

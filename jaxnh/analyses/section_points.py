@@ -37,8 +37,16 @@ def points_after(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], wait: int, count: int, tile: int | None = None
 ) -> Float[np.ndarray, "lanes count d"]:
     """Return the next points of lanes after a number of periods."""
-    states = states_after(batch, lanes, states_at(batch, lanes, u, tile), wait, count, tile)
-    return points_at(batch, lanes, states, tile)
+    return points_and_end(batch, lanes, states_at(batch, lanes, u, tile), wait, count, tile)[0]
+
+
+def points_and_end(
+    batch: LaneBatch, lanes: LaneRunner, state: State, wait: int, count: int, tile: int | None = None
+) -> tuple[Float[np.ndarray, "lanes count d"], State]:
+    """Return the next points of lanes after a number of periods, and the last of their states."""
+    p, strobe = dict(batch.p), batch.strobe()
+    state = lanes.iterate(strobe, wait, (state, p), tile=tile) if wait else state
+    return lanes.observe(strobe, count, (state, p), _point_of, (batch.system,), tile=tile)
 
 
 def _point_of(system: System, state: State) -> Float[Array, " d"]:

@@ -62,7 +62,7 @@ from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import VerdictOptions
 from jaxnh.analyses.price import Price, map_alone
-from jaxnh.analyses.section_points import points_at, states_after
+from jaxnh.analyses.section_points import points_and_end
 from jaxnh.analyses.window_averages import average_window, extents
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
@@ -288,8 +288,8 @@ def recurrence_lags(batch: LaneBatch, lanes: LaneRunner, count: int) -> Int[np.n
 
     Of a lane that does not come so far `_LOST`.
     """
-    early = points_at(batch, lanes, states_after(batch, lanes, batch.start, 0, _LONGEST))[:, _LONGEST // 2 :]
-    points = points_at(batch, lanes, states_after(batch, lanes, batch.start, count, 2 * _LONGEST))
+    early = points_and_end(batch, lanes, batch.start, 0, _LONGEST)[0][:, _LONGEST // 2 :]
+    points = points_and_end(batch, lanes, batch.start, count, 2 * _LONGEST)[0]
     near = _BACK * np.max(np.ptp(early, axis=1), axis=1)
     return lanes(_recurrence_lag, (), (points, near), static=(batch.chart.angles,))
 

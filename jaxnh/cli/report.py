@@ -12,7 +12,7 @@ from jaxnh.cli.inspection import failed_in
 from jaxnh.cli.terminal import show
 from jaxnh.config.messages import join_words
 from jaxnh.engine.experiment import Experiment
-from jaxnh.engine.run import RunSummary
+from jaxnh.engine.run_records import RunSummary
 from jaxnh.jobs.attributes import error_in_words, steps_in_words
 from jaxnh.storage.hdf5 import read_attrs, read_group
 

@@ -13,7 +13,8 @@ from jaxnh.cli.terminal import progress
 from jaxnh.config.config import Config
 from jaxnh.engine import dask_workers
 from jaxnh.engine.output import check_output, file_of, is_there
-from jaxnh.engine.run import RunOptions, run_to_file
+from jaxnh.engine.run import run_to_file
+from jaxnh.engine.run_records import RunOptions
 from jaxnh.exceptions import ArgumentError, BusyError
 from jaxnh.storage import tiles
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from jaxnh.analyses.batch import LaneRunner
+from jaxnh.analyses.batch import LaneRunner, Link
 from jaxnh.maps.family import Maps
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
@@ -28,6 +28,21 @@ class StagelessRunner:
 
     def record(self, maps: Maps, count: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
         return self._lanes.record(maps, count, lanes, tile=tile)
+
+    def observe(
+        self,
+        maps: Maps,
+        count: int,
+        lanes: tuple[State, Parameters],
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        *,
+        tile: int | None = None,
+    ) -> tuple[Any, State]:
+        return self._lanes.observe(maps, count, lanes, function, shared, tile=tile)
+
+    def chain(self, links: Sequence[Link], lanes: tuple[Any, ...], *, tile: int | None = None) -> list[Any]:
+        return self._lanes.chain(links, lanes, tile=tile)
 
     def stage(self, label: str, total: float) -> AbstractContextManager[None]:
         return nullcontext()

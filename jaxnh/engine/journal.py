@@ -30,7 +30,7 @@ class _JournaledTiles:
 
     def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
         number, self._calls = self._calls, self._calls + 1
-        name = self._fingerprints.of(call.function, call.shared, call.lanes, call.static, call.tile)
+        name = self._name_of(call)
         if entries := self._journal.take_entries(number, name):
             structure = _result_structure(call)
             for entry in entries:
@@ -46,11 +46,27 @@ class _JournaledTiles:
             yield begun, result
             begin = perf_counter()
 
+    def _name_of(self, call: Call) -> str:
+        """Fingerprint of all links and of what the first is given."""
+        name, (first, *others) = self._fingerprints, call.links
+        digest = name.of(first.function, first.shared, call.lanes, first.static, call.tile)
+        for link in others:
+            digest = name.of(link.function, link.shared, digest, link.static)
+        return digest
+
 
 def _result_structure(call: Call) -> Any:
-    """The structure of the result of a function for a lane."""
-    lane = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), call.lanes)
-    return jax.tree.structure(jax.eval_shape(lambda lane: call.function(*call.shared, *lane, *call.static), lane))
+    """The structure of the results of a call for a lane."""
+
+    def follow(carried: Any, *others: Any) -> list[Any]:
+        kept = []
+        for link in call.links:
+            carried, read = link.keep(link.function(*link.shared, carried, *others, *link.static))
+            kept.append(read)
+        return kept
+
+    lanes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), call.lanes)
+    return jax.tree.structure(jax.eval_shape(follow, *lanes))
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Lock
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 from jaxnh.engine import dask_workers
 from jaxnh.engine.batches import batches
@@ -27,6 +27,7 @@ from jaxnh.engine.output import other_than
 from jaxnh.engine.plan import decide, work_of_pieces
 from jaxnh.engine.progress import InterruptibleProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes, warnings_of
+from jaxnh.engine.run_records import RunOptions, RunSummary
 from jaxnh.engine.xla_options import configure, describe_differences, devices_of
 from jaxnh.exceptions import ArgumentError, ResultError, RunError, Stopped
 from jaxnh.jobs.arrays import import_beside
@@ -40,49 +41,6 @@ from jaxnh.storage.merge import DamagedPieceError, gather, merge
 from jaxnh.storage.tiles import TileRecord
 
 GO_ON = "run the same command again to go on where it stopped"
-
-
-class RunOptions(NamedTuple):
-    """Options of a run of a sweep.
-
-    Attributes:
-        fresh: drop what an earlier run has left.
-        part: k and n, to do share k of n alone.
-        merge: merge the tiles of the parts, and compute nothing; virtual: copy nothing either.
-        dask: where Dask workers are.
-        tile: lanes a tile.
-        command: what is run, for the history of the result.
-        yes: run a sweep however large.
-    """
-
-    fresh: bool = False
-    part: tuple[int, int] | None = None
-    merge: bool | Literal["virtual"] = False
-    dask: str | None = None
-    tile: int | None = None
-    command: str = ""
-    yes: bool = False
-
-
-class RunSummary(NamedTuple):
-    """Summary of a run.
-
-    Attributes:
-        job: what was decided for the sweep.
-        spent: by this run and those before it.
-        seconds: of this run.
-        compile_seconds, run_seconds: of these, where this process has computed.
-        pieces: number of pieces of this run, and of all.
-        whole: whether the result is written.
-    """
-
-    job: Job
-    spent: SecondsSpent
-    seconds: float
-    compile_seconds: float
-    run_seconds: float
-    pieces: tuple[int, int]
-    whole: bool
 
 
 def run_to_file(

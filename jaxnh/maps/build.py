@@ -7,6 +7,7 @@ at the end says which flows have a way of their own; all others go by Runge–Ku
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, ClassVar, Protocol
 
 import jax
@@ -18,7 +19,7 @@ from jaxnh.maps.general_flow import general_strobe, stack_leaves, unit_step
 from jaxnh.maps.iteration import IterationStrobe
 from jaxnh.maps.jumping import jumping_strobe
 from jaxnh.maps.jumping_section import JumpingSection
-from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period
+from jaxnh.maps.kick_tables import cut_table, kick_table, processed_table, whole_period, whole_periods
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
 from jaxnh.maps.protocol import ReturnMap
@@ -288,6 +289,16 @@ def make_return_map(
         return _equal_steps(system, solver, steps, t1 - t0)
     steps = max(1, math.ceil(steps * share_of_steps(system, (t0, t1)) - 1e-6))
     return scheme_of(system, solver).strobe(system, solver, steps, (t0, t1), compensated=compensated)
+
+
+def prepare_tables(systems: Sequence[Flow | Section], solver: Solver, steps: int, parts: int = 1) -> None:
+    """Make in one go the tables that `make_return_map`, or `cut_strobe` into parts, needs for each of some systems.
+
+    Those are the tables of kicks of processed splittings; other maps are made one by one.
+    """
+    flows = [system for system in systems if isinstance(system, IsokineticParticle) and not system.autonomous]
+    if flows and isinstance(solver, IsokineticSplitting) and solver.processed:
+        whole_periods(flows, solver, -(-steps // parts) * parts)
 
 
 def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensated: bool = False) -> ReturnMap:

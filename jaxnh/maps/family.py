@@ -35,11 +35,18 @@ class ParameterFamily(Generic[Tree]):
         names: of the parameters, whose values lanes carry under these names.
         together: all values that lanes have, where their trees go through one program as a stack; else each value has
             calls of its own.
+        prepare: makes what the trees at some values need in one go, before they are asked for one by one.
     """
 
-    def __init__(self, names: tuple[str, ...], at: Callable[[Values], Tree], together: tuple[Values, ...] = ()) -> None:
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        at: Callable[[Values], Tree],
+        together: tuple[Values, ...] = (),
+        prepare: Callable[[Sequence[Values]], object] = lambda values: None,
+    ) -> None:
         """`at` gives the tree at values of the parameters, in the order of the names; it is asked once for each."""
-        self.names, self.together = names, together
+        self.names, self.together, self.prepare = names, together, prepare
         self._at = functools.cache(at)
         self._derived: dict[Hashable, Any] = {}
 
@@ -59,19 +66,31 @@ class ParameterFamily(Generic[Tree]):
     @functools.cached_property
     def stack(self) -> TreeStack:
         """The trees at the values of `together`, in their order."""
+        self.prepare(self.together)
         return stack([self.at(values) for values in self.together])
 
     def derive(self, key: Hashable, make: Callable[[Tree], Other]) -> ParameterFamily[Other]:
         """A family of what is made of each tree; that of a stack is made once under each key."""
         return self._derive(ParameterFamily, key, make)
 
-    def maps(self, system: System, key: Hashable, make: Callable[[Tree], ReturnMap]) -> MapFamily:
+    def maps(
+        self,
+        system: System,
+        key: Hashable,
+        make: Callable[[Tree], ReturnMap],
+        prepare: Callable[[Sequence[Tree]], object] = lambda trees: None,
+    ) -> MapFamily:
         """Return maps made of each tree, in tables no larger than they need where they are stacked.
 
         Args:
             system: one of theirs.
+            prepare: makes in one go what the maps of several trees need.
         """
-        kind = functools.partial(MapFamily, system)
+
+        def before(values: Sequence[Values]) -> object:
+            return prepare([self.at(value) for value in values])
+
+        kind = functools.partial(MapFamily, system, prepare=before)
         return self._derive(kind, key, lambda tree: make(tree).compact() if self.together else make(tree))
 
     def _derive(self, kind: Callable[..., Any], key: Hashable, make: Callable[[Tree], Any]) -> Any:
@@ -96,8 +115,9 @@ class MapFamily(ParameterFamily[ReturnMap]):
         names: tuple[str, ...],
         at: Callable[[Values], ReturnMap],
         together: tuple[Values, ...] = (),
+        prepare: Callable[[Sequence[Values]], object] = lambda values: None,
     ) -> None:
-        super().__init__(names, at, together)
+        super().__init__(names, at, together, prepare)
         self.system, self.chart = system, system.chart
 
 

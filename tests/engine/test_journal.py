@@ -12,6 +12,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxnh.analyses.batch import Link
 from jaxnh.engine import journal
 from jaxnh.engine.executor import lanes as engine
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -208,6 +209,36 @@ def test_call_stopped_between_tiles(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def _halved(by, total, pair):
+    return total / by, pair[0]
+
+
+def test_chain_stopped_between_tiles(tmp_path):
+    """What of each of its functions came to the host is found; what stayed on the device is not computed again."""
+    pieces = job().cutting.pieces()
+    x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
+    links = [
+        Link(_grown, (np.float64(1.0),), periods=1, keep=lambda grown: (grown["sum"], grown["rest"][1])),
+        Link(_halved, (np.float64(2.0),), periods=1),
+    ]
+    grown = x + pair[0] + 1.0
+    lanes = LaneExecutor(StopsAt(30), devices=jax.devices("cpu")[:2], tile=4)
+    with pytest.raises(Stopped), with_journal(lanes, CallJournal(tmp_path, job(), pieces)) as keeping:
+        keeping.chain(links, (x, pair))
+    lanes = LaneExecutor(devices=jax.devices("cpu")[:1], tile=4)
+    for last, computed in ((2.0, 6), (4.0, 10)):  # another end is another chain
+        links[1] = links[1]._replace(shared=(np.float64(last),))
+        with (
+            mock.patch.object(CallJournal, "add", autospec=True) as add,
+            with_journal(lanes, CallJournal(tmp_path, job(), pieces)) as keeping,
+        ):
+            larger, (halved, first) = keeping.chain(links, (x, pair))
+        assert add.call_count == computed
+        np.testing.assert_array_equal(larger, x > 3.0)
+        np.testing.assert_array_equal(halved, grown / last)
+        np.testing.assert_array_equal(first, pair[0])
+
+
 DIGEST = """
 import sys
 import numpy as np
@@ -225,7 +256,7 @@ at = points(experiment, experiment.axes, tuple(np.arange(4) for _ in experiment.
 for steps in (40, 80):
     strobe = make_return_map(at.system, SOLVERS[sys.argv[2]], steps)
     print(CallFingerprints().of(iterate, (strobe, np.int32(3)), (at.start, at.p), (), 8))
-    print(CallFingerprints().of(evaluate_block, (strobe, np.int32(3)), (at.start, at.p), ((iterate, ()),), 8))
+    print(CallFingerprints().of(evaluate_block, (strobe, np.int32(3)), (at.start, at.p), ((iterate, (), 2),), 8))
 """
 
 

@@ -6,15 +6,19 @@ import math
 import os
 import subprocess
 import sys
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxnh.analyses.batch import Link, keep_all
 from jaxnh.engine import xla_options
+from jaxnh.engine.executor import lanes as executor
 from jaxnh.engine.executor.lanes import TILE, LaneExecutor
 from jaxnh.maps.build import make_return_map
+from jaxnh.maps.family import MapFamily
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.first_order import first_order
@@ -127,6 +131,43 @@ def test_static_arguments_are_part_of_the_program(runners):
         pair = (np.zeros(4, int), np.zeros((4, 1), int))
         result = runners[1](_polynomial, (np.float64(1.0),), (x, pair), static=(power,))
         np.testing.assert_array_equal(result["power"], x**power)
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+@pytest.mark.parametrize("longest", [10**6, 7, 2])
+def test_chain_is_its_functions_one_after_the_other(runners, devices, longest):
+    """To the bit, in one call and cut into several, with a family too; only what is kept comes to the host."""
+    state, p = lane(slice(0, 300), (STATE, CHAOTIC))
+    values = ((1.0,), (2.0,))
+    together, apart = (
+        MapFamily(strobe().system, ("copy",), lambda value: strobe(), values_of_stack)
+        for values_of_stack in (values, ())
+    )
+    copies = {**p, "copy": np.arange(300) % 2 + 1.0}
+    for maps, own in ((strobe(), p), (together, copies), (apart, copies)):
+        link = Link(iterate, (maps, np.int32(3)), periods=3, keep=lambda state: (state, state[0]))
+        few, expected = runners[devices].in_tiles(TILE, TILE + 1), [state]
+        for _ in range(3):
+            expected.append(few(iterate, (maps, np.int32(3)), (expected[-1], own)))
+        with mock.patch.object(executor, "_LONGEST", longest * TILE):
+            positions = few.chain([link, link, link._replace(keep=keep_all)], (state, own))
+        same(positions[2], expected[3])
+        same(positions[:2], [state[0] for state in expected[1:3]])
+
+
+def test_observed_states_are_those_recorded(runners):
+    """More of them than go into one call, and the last state; none has none."""
+    state, p = lane(slice(0, 20), (STATE, CHAOTIC))
+    for count in (0, 1, 5, 130):
+        states = runners[1].record(strobe(), count, (state, p))
+        seen, end = runners[1].observe(strobe(), count, (state, p), _first_of, (np.float64(2.0),))
+        np.testing.assert_array_equal(seen, 2.0 * states[0][0])
+        if count:
+            same(end, lane((slice(None), -1), states))
+
+
+def _first_of(factor, state):
+    return factor * state[0][0]
 
 
 class Recorder:

@@ -12,7 +12,8 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import is_there
 from jaxnh.engine.plan import decide
 from jaxnh.engine.progress import NullProgress
-from jaxnh.engine.run import RunOptions, run_to_file
+from jaxnh.engine.run import run_to_file
+from jaxnh.engine.run_records import RunOptions
 from jaxnh.engine.verification import sample
 from jaxnh.exceptions import Stopped
 from jaxnh.plotting.reading import load_result

@@ -22,7 +22,8 @@ from jaxnh.engine.compute import batch_of, compute
 from jaxnh.engine.executor.tiles import inner_trip_count
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.progress import NullProgress
-from jaxnh.engine.run import RunOptions, run_to_file
+from jaxnh.engine.run import run_to_file
+from jaxnh.engine.run_records import RunOptions
 from jaxnh.exceptions import Stopped
 from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SOLVERS
@@ -102,7 +103,7 @@ class CountingTiles:
 
     def run(self, call, first=0):
         filled = -(-len(jax.tree.leaves(call.lanes)[0]) // call.tile) * call.tile
-        self.lane_steps += filled * call.periods * inner_trip_count(call.shared)
+        self.lane_steps += filled * sum(link.periods * inner_trip_count(link.shared) for link in call.links)
         return self.tiles.run(call, first)
 
 

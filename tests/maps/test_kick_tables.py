@@ -7,8 +7,10 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps import kick_tables
-from jaxnh.maps.build import cut_strobe, make_parts, make_return_map
+from jaxnh.maps.build import cut_strobe, make_parts, make_return_map, prepare_tables
+from jaxnh.maps.family import GROUPS, ParameterFamily
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 from tests.flows.particle import SYSTEMS
@@ -73,7 +75,7 @@ def test_cut_table_is_the_whole_one(system, name, parts):
 def test_period_and_its_parts_have_one_table(d):
     """Made once for a clock, whatever the stiffness and coupling are, and not to be written to."""
     solver = SPLITTINGS["processed6"]
-    with mock.patch.object(kick_tables, "processed_table", wraps=kick_tables.processed_table) as made:
+    with mock.patch.object(kick_tables, "_processed_tables", wraps=kick_tables._processed_tables) as made:
         for a in (0.5, 0.25):
             system = disturbed_speed(a=a, d=d, omega=2.0)
             whole, cut = make_return_map(system, solver, 84), cut_strobe(system, solver, 84, 1)
@@ -85,3 +87,46 @@ def test_period_and_its_parts_have_one_table(d):
         np.testing.assert_array_equal(part, found)
     with pytest.raises(ValueError, match="read-only"):
         kick_tables.whole_period(system, solver, 84)[0][0, 0] = 1.0
+
+
+@pytest.mark.parametrize("c", [1.0, 0.8])
+def test_tables_of_many_values_are_those_made_alone(c):
+    """Bit for bit, also without a disturbance, near a speed of zero, of several clocks at once, in more than a group."""
+    solver, steps = SPLITTINGS["processed6"], 31
+    values = [0.0, 1e-9, 0.1, 0.5, 0.97 * c, *np.linspace(0.2, 0.3, 9).tolist()]
+    systems = [disturbed_speed(c=c, d=d, omega=omega) for omega in (0.5, 1.0, 3.0) for d in values]
+    systems += [
+        disturbed_speed(c=2.0 * c, d=0.1),
+        constant_speed(c=c),
+        disturbed_speed(c=c, d=0.1, without=("forcing",)),
+    ]
+    with mock.patch.object(kick_tables, "_TABLES", {}), mock.patch.object(kick_tables, "_TOGETHER", 8):
+        together = kick_tables.whole_periods(systems, solver, steps)
+    for system, tables in zip(systems, together, strict=True):
+        alone = kick_tables.processed_table(system, solver, steps, (0.0, system.period))
+        for one, other in zip(tables, alone, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_a_family_makes_its_tables_in_one_go():
+    """Those of its stack, and those of values that are asked for one after the other; none is made a second time."""
+    values = tuple((float(d),) for d in np.linspace(0.11, 0.19, 5))
+    systems, solver = {value: disturbed_speed(d=value[0]) for value in values}, SPLITTINGS["processed6"]
+    with mock.patch.object(kick_tables, "_processed_tables", wraps=kick_tables._processed_tables) as made:
+        for together in (values, ()):
+            family = ParameterFamily(("d",), systems.__getitem__, together)
+            maps = family.maps(
+                systems[values[0]],
+                "period",
+                lambda system: make_return_map(system, solver, 23),
+                lambda trees: prepare_tables(trees, solver, 23),
+            )
+            if together:
+                assert maps.stack.trees.table.shape[0] == GROUPS
+            else:
+                LaneExecutor()(_kicks, (maps,), ({"b": np.ones(5), "d": np.array([value[0] for value in values])},))
+    assert made.call_count == 1
+
+
+def _kicks(strobe, p):
+    return strobe.kicks

@@ -25,10 +25,10 @@ def test_grid_of_steps(system, steps):
 def test_smooth_grid(system):
     """Its map and inverse undo each other, its rate is its slope, and its steps end where `step_grid` has them."""
     grid = SmoothGrid(system)
-    t = np.linspace(-0.3, 1.2, 1001) * system.period
+    t = np.linspace(-0.3, 1.2, 1001)[None] * system.period
     share = grid.share(t)
     np.testing.assert_allclose(grid.time(share), t, rtol=0, atol=1e-13 * system.period)
     slope = (grid.time(share + 1e-6) - grid.time(share - 1e-6)) / 2e-6
     np.testing.assert_allclose(slope, grid.rate(t), rtol=1e-6)
-    ends = grid.time(np.linspace(0.0, grid.share(np.asarray(system.period)), 101))
+    ends = grid.time(np.linspace(0.0, grid.share(np.array([system.period])), 101, axis=-1))[0]
     np.testing.assert_allclose(ends, step_grid(system, 100, (0.0, system.period)), rtol=0, atol=1e-4 * system.period)

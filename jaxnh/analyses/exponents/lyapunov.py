@@ -43,6 +43,7 @@ from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
     advance,
     average,
+    averages_in_turn,
     begin,
     cut_period,
     period_parts,
@@ -141,12 +142,14 @@ def averages(
     running = np.arange(count)
     settled = no_orbits(lead + k)
     with lanes.stage(f"lyapunov: averages of {count} lanes", count * options.periods):
-        for i in range(BLOCKS):
-            part, part_p = select((growth, p), running)
-            part, rates[running, i] = average(lanes, strobes, part, part_p, block, i / BLOCKS, nodes)
-            smooth[running] += smooth_parts(part, block, i)
-            _write_lanes(growth, running, part)
-            done[running] += 1
+        for stretch in _stretches(options):
+            (part, part_p), begun, i = select((growth, p), running), [k / BLOCKS for k in stretch], stretch[-1]
+            in_turn = averages_in_turn(lanes, strobes, part, part_p, block, begun, nodes)
+            for number, (after, rate) in zip(stretch, in_turn, strict=True):
+                rates[running, number] = rate
+                smooth[running] += smooth_parts(after, block, number)
+            _write_lanes(growth, running, in_turn[-1][0])
+            done[running] += len(stretch)
             if i == 0 and not to_the_end and _has_orbits(options, batch):
                 if early:
                     orbits = select(early.survey, early.settled)
@@ -162,6 +165,13 @@ def averages(
             if not len(running):
                 break
     return Averages(growth, rates, smooth, done, settled)
+
+
+def _stretches(options: LyapunovOptions) -> list[range]:
+    """Numbers of the blocks between which it is decided which lanes go on: after the first, and for an error each."""
+    if options.error:
+        return [range(number, number + 1) for number in range(BLOCKS)]
+    return [range(1), range(1, BLOCKS)]
 
 
 def _write_lanes(whole: Any, lanes: Int[np.ndarray, " some"], part: Any) -> None:

@@ -18,11 +18,11 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, Link, keep_all
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.smooth_window import half_window_weights
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.build import cut_strobe, maps_between
+from jaxnh.maps.build import cut_strobe, maps_between, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.maps.section import rates
@@ -100,8 +100,12 @@ def _nodes(batch: LaneBatch) -> Quadrature:
 def period_parts(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
     """Return the stacked maps between orthonormalisations, `parts` a period, with `refinement` times the steps."""
     if batch.family is not None:
-        maps, key = batch.family.maps, (parts, refinement)
-        return maps(batch.system, key, lambda system: cut_period(batch.with_system(system), parts, refinement))
+        return batch.family.maps(
+            batch.system,
+            (parts, refinement),
+            lambda system: cut_period(batch.with_system(system), parts, refinement),
+            lambda systems: prepare_tables(systems, batch.solver, refinement * batch.steps, parts),
+        )
     return cut_period(batch, parts, refinement)
 
 
@@ -140,12 +144,41 @@ def average(
     """
     if not count:
         return growth, np.full((len(growth.volume), len(growth.logs) + 2), np.nan)
-    strobes, parts = (strobes, 1) if quadrature else _one_part(strobes)
-    shared = (strobes, quadrature, np.int32(count * parts), np.float64(begun))
-    growth = lanes(advance, shared, (growth, p), periods=count, tile=tile)
-    grown = np.stack([*growth.logs, growth.volume, growth.divergence], axis=-1) / count
-    grown[~is_finite(growth.state)] = np.nan  # what fails has tangents of length zero, whose logarithm is no exponent
+    [(growth, grown)] = averages_in_turn(lanes, strobes, growth, p, count, (begun,), quadrature, tile)
     return growth, grown
+
+
+def averages_in_turn(
+    lanes: LaneRunner,
+    strobes: Maps,
+    growth: TangentState,
+    p: Parameters,
+    count: int,
+    begun: Sequence[float],
+    quadrature: Quadrature | ParameterFamily[Quadrature] | None = None,
+    tile: int | None = None,
+) -> list[tuple[TangentState, Float[np.ndarray, "lanes sums"]]]:
+    """Advance lanes by `count` periods again and again, a time for each `begun`; return after each what `average` does.
+
+    Tangents stay on the device: only the last of these states has any.
+    """
+    strobes, parts = (strobes, 1) if quadrature else _one_part(strobes)
+    links = [
+        Link(advance, (strobes, quadrature, np.int32(count * parts), np.float64(share)), (), count, _sums)
+        for share in begun
+    ]
+    links[-1] = links[-1]._replace(keep=keep_all)
+    averages = []
+    for after in lanes.chain(links, (growth, p), tile=tile):
+        grown = np.stack([*after.logs, after.volume, after.divergence], axis=-1) / count
+        grown[~is_finite(after.state)] = np.nan  # lost lanes have tangents of length zero, whose logarithm is none
+        averages.append((after, grown))
+    return averages
+
+
+def _sums(growth: TangentState) -> tuple[TangentState, TangentState]:
+    """All of a lane for the next periods, and what averages are made of."""
+    return growth, growth._replace(tangents=(), loss=())
 
 
 def _one_part(strobes: Maps) -> tuple[Maps, int]:

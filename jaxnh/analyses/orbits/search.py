@@ -20,7 +20,7 @@ from jaxnh.analyses.periodic.attractor_survey import first_points, motion_sizes
 from jaxnh.analyses.periodic.close_returns import WINDOW, nearest_returns, stretches
 from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import random_start_batch
-from jaxnh.analyses.section_points import points_after, points_at, states_after, states_at
+from jaxnh.analyses.section_points import points_after, points_and_end, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Section
 from jaxnh.orbits.recognition import Cycles, equal_cycles, merge_cycles, no_cycles, primitive_period
@@ -70,10 +70,9 @@ def search(
     for turn in range(options.rounds):
         with lanes.stage(f"orbits: round {turn + 1}, {len(open_)} lanes", float(len(open_) * length)):
             part = batch.take(open_)
-            states = states_after(part, lanes, states_at(part, lanes, at[open_]), 0, length + limit)
-            path = points_at(part, lanes, states)
+            path, end = points_and_end(part, lanes, states_at(part, lanes, at[open_]), 0, length + limit)
             if not turn:
-                size = _sizes(batch, lanes, path, states, random)
+                size = _sizes(batch, lanes, path, end, random)
             at[open_] = path[:, length - 1]
             paths = [path, *([random[open_, turn]] if random is not None else [])]
             by_returns = _round(options, part, lanes, strobe, paths, size[open_])
@@ -210,13 +209,13 @@ def _sizes(
     batch: LaneBatch,
     lanes: LaneRunner,
     path: Float[np.ndarray, "lanes points d"],
-    states: State,
+    end: State,
     random: Float[np.ndarray, "lanes ..."] | None,
 ) -> Float[np.ndarray, "lanes d"]:
     """Return the sizes of the motions of lanes, or of their random starts where these are larger; of angles one."""
     if batch.chart.dimensionless:
         return np.ones((batch.count, path.shape[2]))
-    size = motion_sizes(batch, lanes, path, states)
+    size = motion_sizes(batch, lanes, path, end)
     if random is None:
         return size
     starts = np.where(np.array(batch.chart.angles), 1.0, np.max(np.abs(random[..., 0, :]), axis=(1, 2)))

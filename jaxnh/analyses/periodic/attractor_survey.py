@@ -25,7 +25,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     orbits,
     section_distance,
 )
-from jaxnh.analyses.section_points import points_at, states_after, states_at
+from jaxnh.analyses.section_points import points_and_end, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
@@ -192,9 +192,8 @@ def _survey_at(
     strobe, count, p = batch.strobe(), batch.count, dict(batch.p)
     (wait, limit, tries), cost = timing, timing.periods
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
-        states = states_after(batch, lanes, states_at(batch, lanes, u, tile), wait, 2 * limit, tile)
-    points = points_at(batch, lanes, states, tile)
-    size = np.ones_like(u) if batch.chart.dimensionless else motion_sizes(batch, lanes, points, states)
+        points, end = points_and_end(batch, lanes, states_at(batch, lanes, u, tile), wait, 2 * limit, tile)
+    size = np.ones_like(u) if batch.chart.dimensionless else motion_sizes(batch, lanes, points, end)
     recurs = _recurrences(batch.chart, points, size, limit, least, only_doublings)
     period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
@@ -289,9 +288,9 @@ def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> Float[Arr
 
 
 def motion_sizes(
-    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"], states: State
+    batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "lanes points d"], end: State
 ) -> Float[np.ndarray, "lanes d"]:
-    """Return the size of the motions in each section coordinate, from points and states of them.
+    """Return the size of the motions in each section coordinate, from points of them and their last states.
 
     The largest of a coordinate at the points, or with a clock of its rate over a radian of the period, which is not
     small as well where the coordinate happens to be; of an angle it is one. Where an attractor has a coordinate that
@@ -306,7 +305,7 @@ def motion_sizes(
 
     size = np.max(np.abs(points), axis=1)
     if not batch.flow.autonomous:
-        size = np.maximum(size, at(jax.tree.map(lambda component: component[:, -1], states)))
+        size = np.maximum(size, at(end))
     size = np.maximum(size, _SMALLEST * at(batch.start))
     return np.where(~np.array(chart.angles) & (size > 0.0) & (size < np.inf), size, 1.0)
 

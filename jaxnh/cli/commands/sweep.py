@@ -65,7 +65,7 @@ def sweep(
     content = read_config(config, [*(overrides or []), *([f"device={device}"] if device else [])])
     # From here on JAX, which takes more than a second to import.
     from jaxnh.cli.running import run
-    from jaxnh.engine.run import RunOptions
+    from jaxnh.engine.run_records import RunOptions
 
     how = RunOptions(fresh, share, "virtual" if virtual else merge_only, dask, tile, command_line("jaxnh.sweep"), yes)
     run(content, output, how, quiet=quiet)

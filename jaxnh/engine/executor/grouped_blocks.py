@@ -59,12 +59,19 @@ def group_into_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], 
 
 def evaluate_in_group(*arguments: Any) -> Any:
     """Evaluate the function of a lane for one lane of a group."""
-    *shared, group, lane, (function, static) = arguments
-    return function(*(part.at(group) if isinstance(part, TreeStack) else part for part in shared), *lane, *static)
+    own, lane, function, static = _parts(arguments)
+    return function(*own, *lane, *static)
 
 
 def evaluate_block(*arguments: Any) -> Any:
     """Evaluate the function of a lane for all lanes of a block."""
-    *shared, group, lanes, (function, static) = arguments
+    own, lanes, function, static = _parts(arguments)
+    return jax.vmap(lambda *lane: function(*own, *lane, *static))(*lanes)
+
+
+def _parts(arguments: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...], Any, tuple[Any, ...]]:
+    """Parts of (*shared, *lanes, group, (function, static, number of lanes' arguments)); shared as the group has it."""
+    *before, group, (function, static, count) = arguments
+    shared, lanes = before[:-count], before[-count:]
     own = tuple(part.at(group) if isinstance(part, TreeStack) else part for part in shared)
-    return jax.vmap(lambda lane: function(*own, *lane, *static))(lanes)
+    return own, tuple(lanes), function, static

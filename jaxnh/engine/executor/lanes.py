@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxnh.analyses.batch import Link, select
 from jaxnh.engine.executor.accounts import Accounts
 from jaxnh.engine.executor.grouped_blocks import evaluate_block, evaluate_in_group, group_into_blocks
 from jaxnh.engine.executor.programs import Programs
@@ -158,24 +159,35 @@ class LaneExecutor:
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
-        size = self._tile(shared, count_of(lanes), tile)
-        spread = self._spread and (count_of(lanes) > size or len(self.devices) <= _ALWAYS_SPREAD)
-        call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, size, periods, spread)
-        family = next((part for part in shared if isinstance(part, ParameterFamily)), None)
-        if family is None:
-            return self._run(call)
-        values, group = family.groups(_own(family, call.lanes))
-        if family.together:
-            return self._in_blocks(call, np.array([family.together.index(value) for value in values])[group])
-        results, order = [], []
-        for k, one in enumerate(values):
-            where = np.flatnonzero(group == k)
-            trees = tuple(part.at(one) if isinstance(part, ParameterFamily) else part for part in shared)
-            lanes = jax.tree.map(lambda leaf, where=where: leaf[where], _without(family, call.lanes))
-            results.append(self._run(call._replace(shared=trees, lanes=lanes)))
-            order.append(where)
-        back = np.argsort(np.concatenate(order))
-        return jax.tree.map(lambda *parts: np.concatenate(parts)[back], *results)
+        link = Link(function, shared, static, periods)
+        return self._results((link,), lanes, tile)[0]
+
+    def chain(self, links: Sequence[Link], lanes: tuple[Any, ...], *, tile: int | None = None) -> list[Any]:
+        """Functions one after the other, each of what the one before leaves on the device.
+
+        In several calls where it takes long, between which it can be stopped and is kept, and states go by the host.
+
+        Args:
+            links: the functions; in place of the first of the lanes' arguments each but the first takes what the one
+                before leaves.
+            lanes: as of a single call.
+            tile: as of a single call.
+
+        Returns:
+            What comes to the host of each.
+        """
+        longest, results = self._longest([part for link in links for part in link.shared], count_of(lanes), tile), []
+        links, (carried, *others) = list(links), lanes
+        while links:
+            call, left = [links.pop(0)], longest
+            while links and (links[0].periods <= (left := left - call[-1].periods) or not links[0].periods):
+                call.append(links.pop(0))
+            if links:
+                call[-1] = call[-1]._replace(keep=lambda result, keep=call[-1].keep: (None, keep(result)))
+            results += self._results(tuple(call), (carried, *others), tile)
+            if links:
+                carried, results[-1] = results[-1]
+        return results
 
     def iterate(self, maps: Maps, n: int, lanes: tuple[Any, Any], *, tile: int | None = None) -> Any:
         """Pⁿ of every lane, in several calls where it takes long, between which it can be stopped and is kept.
@@ -186,7 +198,7 @@ class LaneExecutor:
             lanes: states and parameters.
         """
         state, p = lanes
-        longest = max(1, (_LONGEST_ON_CARD if self.on_card else _LONGEST) // self._tile((maps,), count_of(lanes), tile))
+        longest = self._longest((maps,), count_of(lanes), tile)
         while n > 0:
             count = min(n, longest)
             state = self(iterate, (maps, np.int32(count)), (state, p), periods=count, tile=tile)
@@ -202,13 +214,39 @@ class LaneExecutor:
             lanes: states and parameters.
         """
         (state, p), parts = lanes, list[Any]()
-        for first in range(0, max(count, 1), _ROOM):
-            some = min(_ROOM, count - first)
+        for some in _counts(count):
             met = self(record, (maps, np.int32(some)), (state, p), periods=some, tile=tile, static=(_ROOM,))
             parts.append(jax.tree.map(lambda component, some=some: component[:, :some], met))
-            if first + some < count:
+            if len(parts) < len(_counts(count)):
                 state = jax.tree.map(lambda component: component[:, -1], parts[-1])
         return jax.tree.map(lambda *components: np.concatenate(components, axis=1), *parts)
+
+    def observe(
+        self,
+        maps: Maps,
+        count: int,
+        lanes: tuple[Any, Any],
+        function: Callable[..., Any],
+        shared: tuple[Any, ...],
+        *,
+        tile: int | None = None,
+    ) -> tuple[Any, Any]:
+        """function(*shared, state) of every lane's states after 1, 2, …, count periods, and the last of these states.
+
+        The other states do not come to the host.
+
+        Args:
+            lanes: states and parameters.
+        """
+        links = list[Link]()
+        for some in _counts(count):
+            links.append(Link(record, (maps, np.int32(some)), (_ROOM,), some, lambda states: (states, ())))
+            links.append(Link(_observe, shared, (some, function), keep=lambda result: (result[0], result)))
+        results = self.chain(links, lanes, tile=tile)[1::2]
+        end, values = results[-1]
+        if len(results) > 1:
+            values = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *(part for _, part in results))
+        return values, end
 
     def program(
         self,
@@ -219,11 +257,40 @@ class LaneExecutor:
         tile: int | None = None,
     ) -> tuple[str, int]:
         """The compiled program that such a call runs, as text, and the lanes of a tile in it."""
-        size = self._tile(shared, count_of(lanes), tile)
-        call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, size, 0.0, self._spread)
-        return self._on_devices.program(call).as_text(), call.tile
+        call = self._call((Link(function, shared, static),), lanes, tile)._replace(spread=self._spread)
+        return self._on_devices.text(call), call.tile
 
-    def _run(self, call: Call) -> Any:
+    def _call(self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None) -> Call:
+        """A call in tiles of the size that all links allow."""
+        count = count_of(lanes)
+        size = self._tile([part for link in links for part in link.shared], count, tile)
+        spread = self._spread and (count > size or len(self.devices) <= _ALWAYS_SPREAD)
+        return Call(links, jax.tree.map(np.asarray, lanes), size, spread)
+
+    def _results(self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None) -> list[Any]:
+        """What comes to the host of each link, of lanes of one value of each family or of many."""
+        call = self._call(links, lanes, tile)
+        families = [part for link in links for part in link.shared if isinstance(part, ParameterFamily)]
+        if not families:
+            return self._run(call)
+        family = families[0]
+        values, group = family.groups(_own(family, call.lanes))
+        if family.together:
+            group = np.array([family.together.index(value) for value in values])[group]
+            return (self._in_threads if self.on_card else self._in_blocks)(call, family, group)
+        for each in families:
+            each.prepare(values)
+        results, order = [], []
+        for k, one in enumerate(values):
+            where = np.flatnonzero(group == k)
+            own = _with_shared(links, lambda part, one=one: part.at(one))
+            lanes = select(_without(family, call.lanes), where)
+            results.append(self._run(call._replace(links=own, lanes=lanes)))
+            order.append(where)
+        back = np.argsort(np.concatenate(order))
+        return jax.tree.map(lambda *parts: np.concatenate(parts)[back], *results)
+
+    def _run(self, call: Call) -> list[Any]:
         """Results of a call without families."""
         results = []
         for _, result in self._tiles.run(call):
@@ -233,37 +300,25 @@ class LaneExecutor:
             results.append(result)
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
-    def _in_blocks(self, call: Call, group: np.ndarray) -> Any:
+    def _in_blocks(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
         """Lanes of several values of a family, block by block through one program."""
-        family = next(part for part in call.shared if isinstance(part, ParameterFamily))
-        if self.on_card:
-            return self._in_threads(call, family, group)
         blocks = group_into_blocks(group, _without(family, call.lanes), call.tile)
-        stacks = tuple(part.stack if isinstance(part, ParameterFamily) else part for part in call.shared)
-        result = self._run(
-            Call(
-                evaluate_block,
-                stacks,
-                (blocks.groups, blocks.lanes),
-                ((call.function, call.static),),
-                blocks.a_tile,
-                call.periods * len(blocks.back) / len(blocks.groups),
-                call.spread,
-            )
-        )
+        links = _in_groups(call, evaluate_block, len(blocks.back) / len(blocks.groups))
+        result = self._run(Call(links, (*blocks.lanes, blocks.groups), blocks.a_tile, call.spread))
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[blocks.back], result)
 
-    def _in_threads(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> Any:
+    def _in_threads(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
         """Lanes of several values of a family, each of which looks its own value's tree up."""
-        stacks = tuple(part.stack if isinstance(part, ParameterFamily) else part for part in call.shared)
         order = np.argsort(group, kind="stable")  # threads side by side read the same entries of tables
-        lanes = jax.tree.map(lambda leaf: leaf[order], (group.astype(np.int32), _without(family, call.lanes)))
-        static = ((call.function, call.static),)
-        result = self._run(call._replace(function=evaluate_in_group, shared=stacks, lanes=lanes, static=static))
-        back = np.argsort(order)
-        return jax.tree.map(lambda leaf: leaf[back], result)
+        lanes = *select(_without(family, call.lanes), order), group[order].astype(np.int32)
+        result = self._run(call._replace(links=_in_groups(call, evaluate_in_group, 1.0), lanes=lanes))
+        return select(result, np.argsort(order))
 
-    def _tile(self, shared: tuple[Any, ...], count: int, tile: int | None) -> int:
+    def _longest(self, shared: Sequence[Any], count: int, tile: int | None) -> int:
+        """Periods of a lane in one call."""
+        return max(1, (_LONGEST_ON_CARD if self.on_card else _LONGEST) // self._tile(shared, count, tile))
+
+    def _tile(self, shared: Sequence[Any], count: int, tile: int | None) -> int:
         """Lanes a tile: as many as asked for, but at most as many as the maps in it allow."""
         if self.on_card:
             return next((size for size in _ON_CARD if size >= count), _ON_CARD[-1])
@@ -271,6 +326,38 @@ class LaneExecutor:
             return _FEW
         most = [most for part in shared if (most := getattr(part, "most_lanes", None))]
         return min(self.tile, *most, tile or self.tile)
+
+
+def _counts(count: int) -> list[int]:
+    """Periods of each call that records."""
+    return [min(_ROOM, count - first) for first in range(0, max(count, 1), _ROOM)]
+
+
+def _observe(*arguments: Any) -> tuple[Any, Any]:
+    """The last of so many states (room, …) of one lane, and what a function makes of each of them."""
+    *shared, states, _, count, function = arguments
+    values = jax.vmap(lambda state: function(*shared, state))(jax.tree.map(lambda x: x[:count], states))
+    return jax.tree.map(lambda x: x[max(count - 1, 0)], states), values
+
+
+def _with_shared(links: Sequence[Link], change: Callable[[ParameterFamily[Any]], Any]) -> tuple[Link, ...]:
+    """Links with something else in place of each family."""
+
+    def changed(link: Link) -> Link:
+        shared = (change(part) if isinstance(part, ParameterFamily) else part for part in link.shared)
+        return link._replace(shared=tuple(shared))
+
+    return tuple(map(changed, links))
+
+
+def _in_groups(call: Call, evaluate: Callable[..., Any], lanes: float) -> tuple[Link, ...]:
+    """Links of a call over lanes, or blocks of so many of them, each with its group as last argument."""
+    return tuple(
+        link._replace(
+            function=evaluate, static=((link.function, link.static, len(call.lanes)),), periods=link.periods * lanes
+        )
+        for link in _with_shared(call.links, lambda part: part.stack)
+    )
 
 
 def _own(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> Mapping[str, Any]:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxnh.analyses.batch import Link
 from jaxnh.engine.executor.accounts import Accounts
 from jaxnh.engine.executor.programs import Programs, takes_count
 from jaxnh.maps.family import TreeStack
@@ -26,25 +27,25 @@ _SMALL = 64  # numbers of an array that goes there in every call: looking for it
 
 
 class Call(NamedTuple):
-    """One function over many lanes: function(*shared, *lane, *static).
+    """Functions over many lanes, each of what the one before leaves on the device.
 
     Attributes:
-        function: pure function of one lane, defined at module level (programs are kept by it).
-        shared: pytrees that all lanes see alike.
-        lanes: pytrees whose leaves are NumPy arrays with the lanes as first axis.
-        static: further hashable arguments, part of the program.
+        links: the functions, one or more.
+        lanes: pytrees whose leaves are NumPy arrays with the lanes as first axis; in place of the first of them each
+            function but the first takes what the one before leaves.
         tile: lanes a tile.
-        periods: periods that a lane costs.
         spread: whether its tiles are spread over all devices.
     """
 
-    function: Callable[..., Any]
-    shared: tuple[Any, ...]
+    links: tuple[Link, ...]
     lanes: tuple[Any, ...]
-    static: tuple[Any, ...]
     tile: int
-    periods: float
     spread: bool
+
+    @property
+    def periods(self) -> float:
+        """Periods that a lane costs."""
+        return sum(link.periods for link in self.links)
 
 
 class Tiles(Protocol):
@@ -52,6 +53,8 @@ class Tiles(Protocol):
 
     def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
         """Results from the lane number `first` on, a tile for each device at a time, with the number of its first lane.
+
+        They are those of each link that come to the host, as NumPy arrays.
 
         `first` is where such a tile begins.
         """
@@ -68,46 +71,68 @@ class DeviceTiles:
     def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
         """The tiles of a call; see `Tiles`."""
         devices = self._devices_of(call)
-        leaves, chunk, count = jax.tree.leaves(call.lanes), call.tile * len(devices), count_of(call.lanes)
-        program, placed = self.program(call), self._on_devices(call.shared, devices)
-        iterations = call.periods and call.periods * chunk * inner_trip_count(call.shared)
+        chunk, count, programs = call.tile * len(devices), count_of(call.lanes), list[tuple[Any, Any]]()
         for number in range(first, count, chunk):
-            part = [_pad(leaf[number : number + chunk], chunk) for leaf in leaves]
+            part = jax.tree.map(lambda leaf, number=number: _pad(leaf[number : number + chunk], chunk), call.lanes)
             left = min(chunk, count - number)
             asked = (np.int64(left),) if takes_count(devices) else ()
+            results = self._follow(call, part, programs, asked)
+            if left < chunk:
+                results = jax.tree.map(lambda leaf, left=left: leaf[:left], results)
+            yield number, results
+
+    def _follow(self, call: Call, part: Any, programs: list[tuple[Any, Any]], asked: tuple[Any, ...]) -> list[Any]:
+        """Results of all links for one tile on each device; their programs are looked for with the first."""
+        (carried, *others), devices, kept = part, self._devices_of(call), list[Any]()
+        if len(call.links) > 1:
+            others = jax.device_put(others, _sharding(devices, "lanes"))
+        for k, link in enumerate(call.links):
+            if k == len(programs):
+                program = self._program(link, (carried, *others), devices)
+                programs.append((program, self._on_devices(link.shared, devices)))
+            program, placed = programs[k]
             began = time.perf_counter()
-            result = jax.tree.map(np.asarray, program(placed, part, *asked))
+            result = jax.block_until_ready(program(placed, jax.tree.leaves((carried, *others)), *asked))
             seconds = time.perf_counter() - began
             self._accounts.run_seconds += seconds
-            if iterations:
+            if iterations := link.periods and link.periods * count_of(part) * inner_trip_count(link.shared):
                 self._accounts.fastest = min(self._accounts.fastest, seconds / iterations)
-            if left < chunk:
-                result = jax.tree.map(lambda leaf, left=left: leaf[:left], result)
-            yield number, result
+            carried, read = link.keep(result)
+            kept.append(read)
+        return jax.tree.map(np.asarray, kept)
 
-    def program(self, call: Call) -> Any:
-        """The compiled program of a call."""
+    def text(self, call: Call) -> str:
+        """The compiled program of the first link of a call, as text."""
         devices = self._devices_of(call)
         chunk = call.tile * len(devices)
         lanes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((chunk, *leaf.shape[1:]), leaf.dtype), call.lanes)
-        return self._programs.find(call.function, call.static, call.shared, lanes, devices, self._accounts)
+        return self._program(call.links[0], lanes, devices).as_text()
+
+    def _program(self, link: Link, lanes: tuple[Any, ...], devices: Sequence[Any]) -> Any:
+        """The compiled program of a link for the lanes of a tile on each device."""
+        shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), lanes)
+        return self._programs.find(link.function, link.static, link.shared, shapes, devices, self._accounts)
 
     def _devices_of(self, call: Call) -> Sequence[Any]:
         return self._devices if call.spread else self._devices[:1]
 
     def _on_devices(self, shared: tuple[Any, ...], devices: Sequence[Any]) -> list[Any]:
         """Place the arguments that all lanes share on all devices: tables go there once, not in every call."""
-        leaves, everywhere = jax.tree.leaves(shared), None
+        leaves = jax.tree.leaves(shared)
         for k, leaf in enumerate(leaves):
             if isinstance(leaf, np.ndarray) and leaf.size > _SMALL:
                 place = id(leaf), len(devices)
                 if place not in self._placed:
                     if len(self._placed) >= _PLACED:
                         self._placed.clear()
-                    everywhere = everywhere or NamedSharding(Mesh(np.array(devices), ("lanes",)), PartitionSpec())
-                    self._placed[place] = leaf, jax.device_put(leaf, everywhere)
+                    self._placed[place] = leaf, jax.device_put(leaf, _sharding(devices))
                 leaves[k] = self._placed[place][1]
         return leaves
+
+
+def _sharding(devices: Sequence[Any], *axes: str) -> NamedSharding:
+    """Sharding of arrays over devices: split along their first axis, "lanes", or whole on each."""
+    return NamedSharding(Mesh(np.array(devices), ("lanes",)), PartitionSpec(*axes))
 
 
 def count_of(lanes: Any) -> int:

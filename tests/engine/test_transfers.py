@@ -1,0 +1,69 @@
+"""Bytes that come to the host in a chart: points, sums of growth and ends of motions, not what it would only pass on."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import pytest
+
+import jaxnh
+from jaxnh.analyses.options.base import BLOCKS
+from jaxnh.engine.executor.grouped_blocks import evaluate_block
+from tests.helpers.experiments import content
+from tests.helpers.kept_programs import session_of
+
+pytestmark = pytest.mark.usefixtures("uncalibrated")
+POINT, STATE, TANGENT, SUMS = 3, 4, 3, 7  # numbers of a lane; of sums: growth and volume, each three times, divergence
+ANALYSES = {
+    "lyapunov": {"transient": 64, "periods": 32, "exponents": 1},
+    "period": {"transient": 64, "max_period": 16},
+}
+B = {"start": 5.2, "stop": 5.6, "count": 12}
+
+
+class CountedTiles:
+    """Tiles that note the functions of each call, and for each of these the numbers a lane that came to the host."""
+
+    def __init__(self, tiles):
+        self.tiles, self.calls = tiles, []
+
+    def run(self, call, first=0):
+        functions, blocks = [], call.links[0].function is evaluate_block
+        for link in call.links:
+            function, *static = link.static[0][:2] if blocks else (link.function, link.static)
+            functions.append((function.__name__, *static))
+        for number, results in self.tiles.run(call, first):
+            if not number:
+                of_lane = [
+                    sum(leaf.nbytes / math.prod(leaf.shape[: 1 + blocks]) / 8 for leaf in jax.tree.leaves(result))
+                    for result in results
+                ]
+                self.calls.append(list(zip(functions, of_lane, strict=True)))
+            yield number, results
+
+
+@pytest.mark.parametrize("other", [{"a": {"values": [0.4, 0.5]}}, {"d": {"start": 0.0, "stop": 0.3, "count": 8}}])
+def test_numbers_of_a_chart_that_come_to_the_host(other):
+    session = session_of(jaxnh.Experiment.from_dict(content({"b": B, **other}, ANALYSES)))
+    counted = []
+
+    def count(tiles):
+        counted.append(CountedTiles(tiles))
+        return counted[0]
+
+    session._lanes = session._lanes.through(count)
+    session.tree()
+    [calls] = [tiles.calls for tiles in counted]
+    records = [call for call in calls if call[0][0][0] == "record"]
+    assert records
+    for (_, nothing), ((name, (points, _)), numbers) in records:
+        assert (name, nothing, numbers) == ("_observe", 0, POINT * points + STATE)
+    growth = [[numbers for _, numbers in call] for call in calls if call[0][0][0] == "advance"]
+    whole = STATE + TANGENT + SUMS + 1
+    assert {len(numbers) for numbers in growth} == {1, BLOCKS - 1}
+    for numbers in growth:
+        assert numbers == [whole - TANGENT - 1] * (len(numbers) - 1) + [whole]
+    assert all(
+        sum(numbers for _, numbers in call) <= whole for call in calls if call[0][0][0] not in ("record", "advance")
+    )
