@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.edges.destinations import TILE, UNDECIDED, Destinations, destinations
-from jaxnh.maps.section import Crossing, System
-from jaxnh.systems.flow import Parameters
-from jaxnh.systems.state import State
+from jaxnh.analyses.section_points import on_constraints
 
 WIDTH = 1e-11
 """Distance, in sizes, of two points that a boundary lies between."""
@@ -61,7 +59,7 @@ def label_points(
     if not len(lane):
         return u, lane
     p = select(dict(space.batch.p), lane)
-    u, state = lanes(_on_constraints, (space.batch.system,), (u, p), tile=TILE)
+    u, state = lanes(on_constraints, (space.batch.system,), (u, p), tile=TILE)
     return np.array(u), destinations(of, lanes, state, lane)
 
 
@@ -86,13 +84,3 @@ def narrow(
         row = np.arange(len(active))
         near[active], far[active], far_label[active] = points[row, last], points[row, first], labels[row, first]
     return Bracket(lane, near, far, near_label, far_label)
-
-
-def _on_constraints(system: System, u: Float[Array, " d"], p: Parameters) -> tuple[Float[Array, " d"], State]:
-    """Return the point on the constraints near section coordinates, and its state of the flow."""
-    state = system.chart.state(u)
-    if isinstance(state, Crossing):
-        state = state._replace(state=system.flow.nearest(state.state, p))
-        return system.chart.point(state), state.state
-    state = system.flow.nearest(state, p)
-    return system.chart.point(state), state
