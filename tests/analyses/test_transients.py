@@ -279,7 +279,7 @@ def test_henons_horseshoe():
     exact = entropy / exponent + entropy / -exponents[1]
     assert float(data["escape_rate_low"]) <= rate <= float(data["escape_rate_high"])
     assert np.all(np.abs(data["saddle_exponents"] - exponents) <= data["saddle_exponents_error"])
-    assert abs(float(data["saddle_dimension"]) - exact) <= float(data["saddle_dimension_error"]) < 0.1
+    assert abs(float(data["saddle_dimension"]) - exact) <= float(data["saddle_dimension_error"]) < 0.2
     # Points of a horseshoe stay on either side of the gap that its turn has left, and were there an iterate before.
     x, before = data["x_points"].to_numpy(), data["y_points"].to_numpy() / b
     outer = (1.0 + b + np.sqrt((1.0 + b) ** 2 + 4.0 * a)) / (2.0 * a)

@@ -66,7 +66,11 @@ def label_points(
 def narrow(
     space: Space, of: Destinations, lanes: LaneRunner, pairs: Bracket, width: float | np.ndarray = WIDTH
 ) -> Bracket:
-    """Return pairs of points not further apart than a width, about the first change of label on the way from `near`."""
+    """Return pairs of points not further apart than a width, about the first change of label on the way from `near`.
+
+    Where all that is looked at between two points is undecided, as the basin of an attractor that no start has led to,
+    the boundary is that of this, and the label of the far point is `UNDECIDED`.
+    """
     lane, near, far, near_label, far_label = (np.array(leaf) for leaf in pairs)
     width = np.broadcast_to(width, len(lane))
     for _ in range(_ROUNDS):
@@ -79,8 +83,11 @@ def narrow(
         points = np.concatenate([near[active, None], flat.reshape(points.shape), far[active, None]], axis=1)
         labels = np.column_stack([near_label[active], labels.reshape(-1, len(_SHARES)), far_label[active]])
         same = labels == labels[:, :1]
-        first = np.argmax(~same & (labels != UNDECIDED), axis=1)
+        changed = ~same & (labels != UNDECIDED)
+        changed[:, -1] = True  # a far end that is not decided is one that nothing nearer was
+        first = np.argmax(changed, axis=1)
         last = np.max(np.where(same & (np.arange(5) < first[:, None]), np.arange(5), 0), axis=1)
+        first = np.where((last == 0) & (first == 4), 1, first)  # a basin of an attractor that is not known lies between
         row = np.arange(len(active))
         near[active], far[active], far_label[active] = points[row, last], points[row, first], labels[row, first]
     return Bracket(lane, near, far, near_label, far_label)

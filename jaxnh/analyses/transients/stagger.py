@@ -63,8 +63,8 @@ class _Walk(NamedTuple):
     draws: Sequence[np.random.Generator]
 
 
-class _Progress(NamedTuple):
-    """How far orbits are, changed in place.
+class _Positions(NamedTuple):
+    """Where orbits are, changed in place.
 
     Attributes:
         u: section coordinates, (orbits, d).
@@ -135,7 +135,7 @@ def _follow(walk: _Walk, each: int) -> Float[np.ndarray, "orbits points d"]:
     u, total = points_at(walk.batch, walk.lanes, walk.batch.start), walk.least + each
     orbits, d = u.shape
     left, failures, done = (np.zeros(orbits, int) for _ in range(3))
-    now = _Progress(u, left, failures, np.full((orbits, int(total.max()), d), np.nan), done)
+    now = _Positions(u, left, failures, np.full((orbits, int(total.max()), d), np.nan), done)
     while len(active := np.flatnonzero((done < total) & (failures < _ROUNDS))):
         ready = left[active] >= walk.least[active]
         if not ready.all():
@@ -146,7 +146,7 @@ def _follow(walk: _Walk, each: int) -> Float[np.ndarray, "orbits points d"]:
     return np.take_along_axis(now.path, (walk.least[:, None] + np.arange(each))[..., None], axis=1)
 
 
-def _stagger(walk: _Walk, which: Int[np.ndarray, " some"], now: _Progress) -> None:
+def _stagger(walk: _Walk, which: Int[np.ndarray, " some"], now: _Positions) -> None:
     """Move points to ones that stay longer, in place, where one of the tries does."""
     some, d = len(which), now.u.shape[1]
     moved = (now.u[which, None] + _vectors(walk, which, d)).reshape(-1, d)
@@ -179,7 +179,7 @@ def _vectors(walk: _Walk, which: Int[np.ndarray, " some"], d: int) -> Float[np.n
     return vectors
 
 
-def _step(walk: _Walk, which: Int[np.ndarray, " some"], now: _Progress, total: Int[np.ndarray, " orbits"]) -> None:
+def _step(walk: _Walk, which: Int[np.ndarray, " some"], now: _Positions, total: Int[np.ndarray, " orbits"]) -> None:
     """Carry points on for as long as they stay long enough, in place."""
     ahead = points_after(walk.batch.take(which), walk.lanes, now.u[which], 0, _FURTHER + 1)
     for k, orbit in enumerate(which.tolist()):
