@@ -93,9 +93,9 @@ def linear_flow(drive=1.0):
 def test_a_linear_flow():
     """Exponents are the eigenvalues, and angles those between eigenvectors: strobes rest, and sizes are one."""
     session = jaxnh.Session(linear_flow, start={"x": 1.0, "y": 0.3, "z": 0.2}, target=1e-9)
-    data = session.run(jaxnh.Covariant(strobes=256, transient=512))
+    data = session.run(jaxnh.Covariant(strobes=1024, transient=512))
     assert np.all(np.abs(data["exponents"] - RATES) <= data["exponents_error"])
-    assert np.abs(data["exponents"] - RATES).max() < 1e-7
+    assert np.abs(data["exponents"] - RATES).max() < 1e-7  # an eighth of the points: vectors settle to e^(−0.14 · 128)
     assert words(data, "kind") == "regular"
     first, last = BASIS[:, 0] / np.linalg.norm(BASIS[:, 0]), BASIS[:, 2] / np.linalg.norm(BASIS[:, 2])
     planes = np.linalg.qr(BASIS[:, 1:])[0], np.linalg.qr(BASIS[:, :2])[0]
