@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.maps.section import System
+from jaxnh.maps.section import Crossing, System
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
 
@@ -47,6 +48,16 @@ def points_and_end(
     p, strobe = dict(batch.p), batch.strobe()
     state = lanes.iterate(strobe, wait, (state, p), tile=tile) if wait else state
     return lanes.observe(strobe, count, (state, p), _point_of, (batch.system,), tile=tile)
+
+
+def on_constraints(system: System, u: Float[Array, " d"], p: Parameters) -> tuple[Float[Array, " d"], State]:
+    """Return the point on the constraints near section coordinates, and its state of the flow, of one lane."""
+    state = system.chart.state(u)
+    if isinstance(state, Crossing):
+        state = state._replace(state=system.flow.nearest(state.state, p))
+        return system.chart.point(state), state.state
+    state = system.flow.nearest(state, p)
+    return system.chart.point(state), state
 
 
 def _point_of(system: System, state: State) -> Float[Array, " d"]:

@@ -75,6 +75,67 @@ def cat():
     return {"map": image, "coordinates": ("x", "z"), "angles": ("x", "z")}
 
 
+BASIS = np.array([[1.0, 0.4, -0.3], [0.2, 1.0, 0.5], [0.1, -0.6, 1.0]])
+RATES = np.array([-0.06, -0.2, -0.5])
+
+
+def linear_flow(drive=1.0):
+    """Of the eigenvectors BASIS and eigenvalues RATES, under a drive that all motions come to move with."""
+    matrix = BASIS @ np.diag(RATES) @ np.linalg.inv(BASIS)
+
+    def rhs(y, t):
+        force = drive * jnp.cos(2.0 * jnp.pi * t)
+        return tuple(sum(entry * x for entry, x in zip(row.tolist(), y, strict=True)) + force for row in matrix)
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z"), "period": 1.0}
+
+
+def test_a_linear_flow():
+    """Exponents are the eigenvalues, and angles those between eigenvectors: strobes rest, and sizes are one."""
+    session = jaxnh.Session(linear_flow, start={"x": 1.0, "y": 0.3, "z": 0.2}, target=1e-9)
+    data = session.run(jaxnh.Covariant(strobes=1024, transient=512))
+    assert np.all(np.abs(data["exponents"] - RATES) <= data["exponents_error"])
+    assert np.abs(data["exponents"] - RATES).max() < 1e-7  # an eighth of the points: vectors settle to e^(−0.14 · 128)
+    assert words(data, "kind") == "regular"
+    first, last = BASIS[:, 0] / np.linalg.norm(BASIS[:, 0]), BASIS[:, 2] / np.linalg.norm(BASIS[:, 2])
+    planes = np.linalg.qr(BASIS[:, 1:])[0], np.linalg.qr(BASIS[:, :2])[0]
+    exact = [np.arcsin(np.linalg.norm(v - b @ (b.T @ v))) for v, b in zip((first, last), planes, strict=True)]
+    assert data["angle_median"].to_numpy() == pytest.approx(exact, abs=1e-6)
+
+
+def suspended_cat(speed=0.3):
+    """Points of a torus that the field moves to and fro, and Arnold's cat in the middle of each period."""
+
+    def rhs(y, t):
+        rate = speed * jnp.pi * jnp.sin(2.0 * jnp.pi * t)
+        return rate, 0.5 * rate
+
+    def cat_of(y, t):
+        x, z = y[0] - speed, y[1] - 0.5 * speed
+        turn = 2.0 * jnp.pi
+        return (2.0 * x + z) % turn + speed, (x + z) % turn + 0.5 * speed
+
+    def half(y, t):
+        return -jnp.sin(2.0 * jnp.pi * t)
+
+    return {
+        "rhs": rhs,
+        "coordinates": ("x", "z"),
+        "angles": ("x", "z"),
+        "period": 1.0,
+        "jumps": [{"when": half, "direction": "up", "then": cat_of}],
+    }
+
+
+def test_the_cat_suspended_in_a_flow():
+    """Its vectors are at right angles and grow by the golden mean squared a period, whatever the field does between."""
+    session = jaxnh.Session(suspended_cat, start={"x": 1.0, "z": 0.3}, target=1e-7)
+    data = session.run(jaxnh.Covariant(strobes=1024, transient=8))
+    assert data["exponents"].to_numpy() == pytest.approx([GOLDEN, -GOLDEN], abs=1e-9)
+    assert float(data["angle_min"][0]) == pytest.approx(np.pi / 2, abs=1e-6)
+    assert words(data, "kind") == "hyperbolic"
+
+
 def henon(a=1.4, b=0.3):
     def image(s):
         x, y = s

@@ -1,7 +1,7 @@
 """Error bars of edges of a flow: two wells with a tilt, driven, at random parameters, against scipy's DOP853.
 
-The cycle between the wells is by Newton on the strobe map with variational equations, and the least shock by bisection of
-lengths in directions about ours, of which a polynomial has the minimum.
+The cycle between the wells is by Newton on the strobe map with variational equations, and the least shock by what leaves the
+basin and what does not, in directions about ours.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ BOX = {"x": (-1.5, 1.5), "v": (-3.0, 3.0)}
 PERIODS = 40
 """After which a motion is on its attractor: at friction 0.16 it has come 600 times nearer e times."""
 
-TURNS = 1e-3 * np.arange(-2, 3)
-"""Radians: directions of the reference from ours; the fifth power of them is rounding."""
+TURNS = np.array([0.0, *(side * turn for turn in (1e-5, 1e-4, 1e-3) for side in (1.0, -1.0))])
+"""Radians: directions of the reference from ours, over which lengths are a parabola: 1e-10 of them is by 1e-5."""
 
 FRONT = np.geomspace(0.5, 1e-9, 40)
 """Shares of the length: what is looked at in front of a boundary."""
@@ -74,7 +74,7 @@ def covered_edges(data):
     """Whether each number of the cycles between wells is within its bar, (numbers, lanes)."""
     one = data.isel(pair=0)
     rows = (one["kind"].to_numpy() == 1) & (one["period"].to_numpy() == 1)
-    assert rows.mean() >= 0.7
+    assert rows.all()
     names = ("x_edge", "v_edge", "multiplier", "second_multiplier")
     ours, bars = (np.array([one[f"{name}{end}"].to_numpy()[rows] for name in names]) for end in ("", "_error"))
     cycles, matrix = Strobes(*(data[key].to_numpy()[rows] for key in ("force", "friction", "tilt"))).closed(ours[:2].T)
@@ -87,48 +87,34 @@ def covered_edges(data):
     return np.abs(ours - exact) <= bars + rounding
 
 
-def least_shocks(strobes, base, angle, length):
-    """The least lengths that leave the basins of cycles at points (n, 2), about shocks in these directions, (n,).
-
-    Where something else lies in front of the boundary the first length at which it was met.
-    """
-    count = len(base)
-
-    def leaves(lengths, turn):
-        """Whether displacements (n, k) do, in turned directions (k,) or (n, k)."""
-        way = angle[:, None] + turn + np.zeros(lengths.shape)
-        k = lengths.shape[1]
-        point = np.repeat(base, k, axis=0)
-        moved = point + lengths.ravel()[:, None] * np.stack([np.cos(way), np.sin(way)], axis=2).reshape(-1, 2) * UNIT
-        many = Strobes(*(np.repeat(leaf, k) for leaf in (strobes.force, strobes.friction, strobes.tilt)))
-        return (np.abs(many.after(moved, PERIODS) - point).max(axis=1) > 0.05).reshape(count, k)
-
-    low, high = (np.repeat(length[:, None] + shift, len(TURNS), axis=1) for shift in (-1e-4, 1e-4))
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        out = leaves(middle, TURNS)
-        low, high = np.where(out, low, middle), np.where(out, middle, high)
-    exact = np.empty(count)
-    for i, row in enumerate(high):
-        fitted = np.polynomial.Polynomial.fit(TURNS, row, 4)
-        flat = [z.real for z in fitted.deriv().roots() if abs(z.imag) < 1e-12 and abs(z.real) < 2 * TURNS[-1]]
-        exact[i] = min(map(fitted, flat), default=np.nan)
-    front = length[:, None] * (1.0 - FRONT)
-    earlier = leaves(front, np.zeros(1))
-    return np.where(earlier.any(axis=1), front[np.arange(count), np.argmax(earlier, axis=1)], exact)
+def leaves(strobes, base, angle, lengths):
+    """Whether displacements of points (n, 2) by lengths in directions (n, k) leave the basins of the cycles there."""
+    count, k = lengths.shape
+    point = np.repeat(base, k, axis=0)
+    moved = point + lengths.ravel()[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(-1, 2) * UNIT
+    many = Strobes(*(np.repeat(leaf, k) for leaf in (strobes.force, strobes.friction, strobes.tilt)))
+    return (np.abs(many.after(moved, PERIODS) - point).max(axis=1) > 0.05).reshape(count, k)
 
 
 def covered_shocks(data):
-    """Whether each least shock of cycles of one period is within its bar."""
+    """Whether each least shock of cycles of one period is within its bar.
+
+    Beyond the bar it leaves the basin; before the bar neither it nor those beside it do, nor what is in front of them.
+    """
     data = data.stack(row=("lane", "attractor"))
     cycle = (data["attractor_kind"].to_numpy() == 0) & (data["attractor_period"].to_numpy() == 1)
     data = data.isel(row=np.flatnonzero(cycle & np.isfinite(data["shock"].to_numpy())))
     strobes = Strobes(*(data[key].to_numpy() for key in ("force", "friction", "tilt")))
     base, _ = strobes.closed(np.stack([data["x_attractor"].to_numpy(), data["v_attractor"].to_numpy()], axis=1))
     way = np.stack([data["x_shock"].to_numpy(), data["v_shock"].to_numpy()], axis=1) / UNIT
-    length, bar = data["shock"].to_numpy(), data["shock_error"].to_numpy()
-    exact = least_shocks(strobes, base, np.arctan2(way[:, 1], way[:, 0]), length)
-    return np.abs(length - exact) <= bar
+    angle, length, bar = (
+        np.arctan2(way[:, 1], way[:, 0])[:, None],
+        *(data[name].to_numpy()[:, None] for name in ("shock", "shock_error")),
+    )
+    shorter = [np.repeat(length - bar, len(TURNS), axis=1), np.minimum(length * (1.0 - FRONT), length - bar)]
+    turns = np.concatenate([TURNS, np.zeros(len(FRONT) + 1)])
+    out = leaves(strobes, base, angle + turns, np.concatenate([*shorter, length + bar], axis=1))
+    return out[:, -1] & ~out[:, :-1].any(axis=1)
 
 
 def run(options, **axes):
@@ -138,9 +124,8 @@ def run(options, **axes):
 
 
 def test_the_bars_of_one_flow():
-    data = run({"n_starts": 8, "directions": 4}, force=[0.05], friction=[0.3], tilt=[0.05])
+    data = run({"n_starts": 8, "transient": 32, "directions": 0}, force=[0.05], friction=[0.6], tilt=[0.05])
     assert covered_edges(data).all()
-    assert covered_shocks(data).all()
 
 
 @pytest.mark.slow
@@ -153,8 +138,11 @@ def test_bars_of_flows_cover():
         "tilt": draw.uniform(-0.1, 0.1, 2),
     }
     options = {"n_starts": 16, "directions": 8}
-    parts = [run(options, **axes), run({**options, "n_starts": 48}, force=[0.1005], friction=[0.16348], tilt=[0.03047])]
-    edges = np.concatenate([covered_edges(data) for data in parts], axis=1)
+    three = {"force": [0.1005], "friction": [0.16348], "tilt": [0.03047]}
+    parts = [run(options, **axes), run({**options, "n_starts": 48}, **three)]
+    few = run({"n_starts": 8, "directions": 0}, **three)  # of which none leads to the third
+    assert few["attractors"].to_numpy()[0] == 2
+    edges = np.concatenate([covered_edges(data) for data in [*parts, few]], axis=1)
     assert edges.mean() >= 0.95
     assert parts[1]["attractors"].to_numpy()[0] == 3
     shocks = np.concatenate([covered_shocks(data) for data in parts])

@@ -130,6 +130,32 @@ def test_border_of_a_tongue():
     assert data["denominator"].to_numpy().ravel()[0] == 1
 
 
+def forced_van_der_pol(mu=0.5, drive=1.0, omega=2.9):
+    def rhs(y, t):
+        x, v = y
+        return v, mu * (1 - x * x) * v - x + drive * jnp.cos(omega * t)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": TURN / omega}
+
+
+@pytest.mark.slow
+def test_border_of_a_tongue_of_van_der_pols_oscillator():
+    """Locked to 1/3 on one side of the fold that `curves` follows over the drive and μ, and not on the other: to 1e-6."""
+    session = jaxnh.Session(forced_van_der_pol, start={"x": 1.0}, target=1e-10)
+    options = jaxnh.Curves(max_period=3, transient=1024, n_values=1, ds_max=0.05)
+    data = session.run(options, drive=np.linspace(0.6, 2.1, 6), mu=np.array([0.45, 0.5, 0.55]))
+    folds = np.flatnonzero((jaxnh.labels(data["kind"]) == "fold") & (data["period"] == 3))
+    assert len(folds)
+    drive, mu = (data[name].to_numpy()[folds[0]] for name in ("drive", "mu"))
+    known = np.flatnonzero(np.isfinite(drive))
+    for place in known[[len(known) // 4, len(known) // 2, 3 * len(known) // 4]]:
+        options = jaxnh.Rotation(transient=1 << 15, periods=1 << 15)
+        beside = drive[place] + np.array([-1e-6, 1e-6])
+        turns = session.run(options, drive=beside, mu=mu[place : place + 1])
+        assert [word == "locked" for word in kinds(turns)] == [False, True]
+        assert turns["denominator"].to_numpy().ravel()[1] == 3
+
+
 def test_chaos_has_no_rotation_number():
     """A torus of the standard map has one, the chaotic sea has not: its average converges no better than a plain one."""
     session = jaxnh.Session(standard, start={"angle": 0.3, "momentum": TURN * GOLDEN})

@@ -285,12 +285,12 @@ def test_prices_are_of_real_programs():
         assert found.with_it.function is not found.without_it.function
 
 
-def test_prices_of_covariant_edges_and_rotation(lanes):
-    """Derivatives of the map for the first two, none for the last; programs of others are the same with these beside."""
+def test_prices_of_covariant_edges_transients_and_rotation(lanes):
+    """Derivatives of the map for the first three, none for the last; programs of others are the same with these beside."""
     scene = batch_of(constant_speed(), START, np.linspace(5.2, 5.4, LANES), SPLITTING, 10)
     alone = costs_of_effects._operations(map_alone(scene), lanes)
-    box = {"x1": (-1.0, 1.0)}
-    for name, options in (("covariant", {}), ("edges", {"box": box}), ("rotation", {})):
+    boxed = {"box": {"x1": (-1.0, 1.0)}}
+    for name, options in {"covariant": {}, "edges": boxed, "transients": boxed, "rotation": {}}.items():
         analysis = ANALYSES[name]
         found = analysis.price(analysis.options(**options), scene)
         with_it, without_it = (costs_of_effects._operations(p, lanes) for p in (found.with_it, found.without_it))
@@ -303,13 +303,14 @@ def two_wells(a=0.4):
     return {"map": lambda y: ((1.0 + a) * y[0] - y[0] ** 3, 0.5 * y[1]), "coordinates": ("x", "y")}
 
 
-def test_programs_are_those_without_covariant_edges_and_rotation():
+def test_programs_are_those_without_covariant_edges_transients_and_rotation():
     """What they need comes beside the programs that are compiled without them, and changes none of these."""
     poincare = {"poincare": {"transient": 1, "strobes": 4}}
     others = {
         "covariant": {"transient": 1, "strobes": 256},
         "rotation": {"transient": 1, "periods": 128},
         "edges": {"box": {"x": (-1.0, 1.0)}, "n_starts": 4, "directions": 0, "pairs": 1},
+        "transients": {"box": {"x": (-1.0, 1.0)}, "n_starts": 16, "max_periods": 16, "saddle_points": 8},
     }
 
     def compiled(analyses):

@@ -302,6 +302,25 @@ def test_killed_then_resumed(job, whole):
 
 
 @pytest.mark.slow
+def test_angles_of_vectors_and_of_turns_are_resumed(tmp_path):
+    """`covariant` and `rotation`: killed after the first of three tiles, and gone on with to the bits of one run."""
+    text = "  covariant: {transient: 8, strobes: 256}\n  rotation: {transient: 8, periods: 128}\n"
+    job = Job(tmp_path, CONFIG.split("  diagram")[0].replace("3000", "96") + text, 32)
+    assert job.run_here()[0] == 0
+    undisturbed = content(job.output)
+    job.output.unlink()
+    process = job.start(environment=slow_tiles(job))
+    job.until(process, 1)
+    process.kill()
+    process.communicate()
+    kept = len(job.done())
+    code, _, err = job.run_here()
+    assert code == 0
+    assert f"{kept} of 3 tiles are done; going on" in err
+    assert content(job.output) == undisturbed
+
+
+@pytest.mark.slow
 def test_killed_at_random_moments(job, whole):
     """Twenty kills from the start of a process to the end of the whole run; whenever one ends first, it begins anew."""
     assert job.run()[0] == 0  # programs are in the cache from here on

@@ -29,9 +29,10 @@ from jaxnh.analyses.base import (
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.covariant.hyperbolicity import KINDS, SPLITS, judge, judge_splits
-from jaxnh.analyses.covariant.vectors import HIDDEN, CovariantVectors, covariant_vectors, smallest_angles
+from jaxnh.analyses.covariant.vectors import CovariantVectors, covariant_vectors, smallest_angles
 from jaxnh.analyses.exponents.errors import Average, average_blocks
 from jaxnh.analyses.exponents.estimates import step_error
+from jaxnh.analyses.exponents.triangles import HIDDEN
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import CovariantOptions
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.edges.destinations import TILE, UNDECIDED, Destinations, destinations
-from jaxnh.maps.section import Crossing, System
-from jaxnh.systems.flow import Parameters
-from jaxnh.systems.state import State
+from jaxnh.analyses.section_points import on_constraints
 
 WIDTH = 1e-11
 """Distance, in sizes, of two points that a boundary lies between."""
@@ -61,14 +59,18 @@ def label_points(
     if not len(lane):
         return u, lane
     p = select(dict(space.batch.p), lane)
-    u, state = lanes(_on_constraints, (space.batch.system,), (u, p), tile=TILE)
+    u, state = lanes(on_constraints, (space.batch.system,), (u, p), tile=TILE)
     return np.array(u), destinations(of, lanes, state, lane)
 
 
 def narrow(
     space: Space, of: Destinations, lanes: LaneRunner, pairs: Bracket, width: float | np.ndarray = WIDTH
 ) -> Bracket:
-    """Return pairs of points not further apart than a width, about the first change of label on the way from `near`."""
+    """Return pairs of points not further apart than a width, about the first change of label on the way from `near`.
+
+    Where all that is looked at between two points is undecided, as the basin of an attractor that no start has led to,
+    the boundary is that of this, and the label of the far point is `UNDECIDED`.
+    """
     lane, near, far, near_label, far_label = (np.array(leaf) for leaf in pairs)
     width = np.broadcast_to(width, len(lane))
     for _ in range(_ROUNDS):
@@ -81,18 +83,11 @@ def narrow(
         points = np.concatenate([near[active, None], flat.reshape(points.shape), far[active, None]], axis=1)
         labels = np.column_stack([near_label[active], labels.reshape(-1, len(_SHARES)), far_label[active]])
         same = labels == labels[:, :1]
-        first = np.argmax(~same & (labels != UNDECIDED), axis=1)
+        changed = ~same & (labels != UNDECIDED)
+        changed[:, -1] = True  # a far end that is not decided is one that nothing nearer was
+        first = np.argmax(changed, axis=1)
         last = np.max(np.where(same & (np.arange(5) < first[:, None]), np.arange(5), 0), axis=1)
+        first = np.where((last == 0) & (first == 4), 1, first)  # a basin of an attractor that is not known lies between
         row = np.arange(len(active))
         near[active], far[active], far_label[active] = points[row, last], points[row, first], labels[row, first]
     return Bracket(lane, near, far, near_label, far_label)
-
-
-def _on_constraints(system: System, u: Float[Array, " d"], p: Parameters) -> tuple[Float[Array, " d"], State]:
-    """Return the point on the constraints near section coordinates, and its state of the flow."""
-    state = system.chart.state(u)
-    if isinstance(state, Crossing):
-        state = state._replace(state=system.flow.nearest(state.state, p))
-        return system.chart.point(state), state.state
-    state = system.flow.nearest(state, p)
-    return system.chart.point(state), state

@@ -30,7 +30,8 @@ ESCAPES, UNDECIDED = -1, -2
 TILE = 64
 """Lanes a tile of programs that follow edges: there are few, and many calls one after the other."""
 
-_LOOK = 8  # periods between the first looks
+_LOOK, _LATER = 8, 12  # periods between the first looks, and what those between later ones are multiples of
+_STILL = 1e-12  # of the largest coordinate: what moves by less from look to look has come to rest, or to an orbit
 _BEYOND = 1e100  # squares of distances overflow in a search tree
 _APART = 0.25  # of the distance to another attractor: what is nearer is near to one alone
 
@@ -115,19 +116,28 @@ def destinations(
 ) -> Int[np.ndarray, " states"]:
     """Return the attractors that states of a flow lead to, by their places, or `ESCAPES` or `UNDECIDED`.
 
+    What has come to an orbit or to rest elsewhere, on an attractor that no start has led to, is undecided at once.
+
     Args:
         lane: the number of the lane of each.
     """
     labels, before = np.full(len(lane), UNDECIDED), np.full(len(lane), UNDECIDED)
     active, elapsed, count = np.arange(len(lane)), 0, _LOOK
+    u, calm = np.full((len(lane), of.batch.chart.dimension), np.nan), np.zeros(len(lane), bool)
     while len(active) and elapsed < of.most:
         state = lanes.iterate(of.strobe, count, (state, select(dict(of.batch.p), lane[active])), tile=TILE)
-        now = _near(of, of.batch.chart.host_points(state), lane[active])
+        new = of.batch.chart.host_points(state)
+        now = _near(of, new, lane[active])
         now[~is_finite(state)] = ESCAPES
-        done = (now == ESCAPES) | ((now >= 0) & (now == before[active]))
+        with np.errstate(all="ignore"):  # of motions that go to infinity, or are at zero
+            moved = np.abs(of.batch.chart.wrap(new - u[active])) / np.max(np.abs(new), axis=1, keepdims=True)
+        still = np.all(moved < _STILL, axis=1)
+        elsewhere = (now == UNDECIDED) & still & calm[active]
+        done = (now == ESCAPES) | ((now >= 0) & (now == before[active])) | elsewhere
         labels[active[done]], before[active] = now[done], now
+        u[active], calm[active] = new, still
         elapsed += count
-        count = max(_LOOK, elapsed // 4)
+        count = max(_LOOK, elapsed // (4 * _LATER) * _LATER)
         active, state = active[~done], select(state, ~done)
     return labels
 

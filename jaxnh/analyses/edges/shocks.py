@@ -135,7 +135,7 @@ def _shocks(
         begun.attractor[crossing], labels[crossing, first],
     )  # fmt: skip
     pairs = narrow(space, of, lanes, pairs)
-    good = space.distance(pairs.near, pairs.far, pairs.lane) <= WIDTH
+    good = (space.distance(pairs.near, pairs.far, pairs.lane) <= WIDTH) & (pairs.far_label != UNDECIDED)
     crossing, pairs = crossing[good], Bracket(*(leaf[good] for leaf in pairs))
     displacement, length, to = np.full((count, d), np.nan), np.full(count, np.nan), np.full(count, UNDECIDED)
     displacement[crossing] = space.batch.chart.wrap(pairs.far - begun.base[crossing])

@@ -107,7 +107,13 @@ class TransientsOptions(Options):
     )
     max_periods: int = Field(default=1024, ge=16, description="Periods after which a motion is followed no longer")
     transient: int = Field(default=8, ge=0, description="Periods before escapes are counted for the rate")
-    seed: int = Field(default=0, ge=0, description="Seed of the random start states")
+    seed: int = Field(default=0, ge=0, description="Seed of the random start states and of what moves points")
+    saddle_points: int = Field(
+        default=0,
+        ge=0,
+        le=1 << 16,
+        description="Points of the chaotic saddle by stagger and step; 0: those of motions that stay long",
+    )
     crisis: Extra = Field(
         default=None, description="Whether to fit the power law of the lifetime at a crisis along the first axis"
     )

@@ -20,7 +20,7 @@ from jaxnh.analyses.random_starts import Box
 from jaxnh.maps.section import outputs
 from jaxnh.systems.state import State
 
-_AT_ONCE = 64  # periods of a call
+_FIRST, _AT_ONCE = 8, 64  # periods of the first call, and of later ones at most: most motions leave early
 
 
 class Lifetimes(NamedTuple):
@@ -52,17 +52,15 @@ class EscapeRate(NamedTuple):
 def lifetimes(batch: LaneBatch, lanes: LaneRunner, region: Box, most: int) -> Lifetimes:
     """Return how long the motions of a batch stay in a region, followed for so many periods at most."""
     periods, escaped = np.full(batch.count, most), np.zeros(batch.count, bool)
-    left, state = np.arange(batch.count), batch.start
-    for done in range(0, most, _AT_ONCE):
-        part, count = batch.take(left), min(_AT_ONCE, most - done)
+    left, state, done = np.arange(batch.count), batch.start, 0
+    while len(left) and done < most:
+        part, count = batch.take(left), min(max(_FIRST, done), _AT_ONCE, most - done)
         states = lanes.record(part.strobe(), count, (state, dict(part.p)))
         out = ~inside(part, region, states)
         gone = out.any(axis=1)
         periods[left[gone]], escaped[left[gone]] = done + 1 + np.argmax(out[gone], axis=1), True
         state = jax.tree.map(lambda leaf, stays=~gone: leaf[stays, -1], states)
-        left = left[~gone]
-        if not len(left):
-            break
+        left, done = left[~gone], done + count
     return Lifetimes(periods, escaped)
 
 

@@ -7,31 +7,35 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, Starts, Table, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.chaos import TransientsOptions
+from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.random_starts import check_box, random_start_batch
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.analyses.transients.crisis_scaling import FEWEST_VALUES, fit_crisis
 from jaxnh.analyses.transients.lifetimes import EscapeRate, escape_rate, lifetimes, region_of
-from jaxnh.analyses.transients.saddle import MOTIONS, POINTS, Saddle, find_saddle
-from jaxnh.maps.iterate import derivatives
+from jaxnh.analyses.transients.saddle import MOTIONS, POINTS, Saddle, find_saddle, saddle_dimension
+from jaxnh.analyses.transients.stagger import saddle_orbits
+from jaxnh.maps.iterate import derivative_and_volume
 from jaxnh.maps.section import outputs
 from jaxnh.systems.flow import status
 
 _USUAL = 64  # periods that most motions stay, for the expected work
+_STAGGERED = 1024  # periods of tries for a point by stagger and step
 
 
 def periods(options: TransientsOptions, lanes: int) -> float:
     """Return the lane-periods of a run."""
-    return float(lanes * options.n_starts * min(options.max_periods, _USUAL))
+    return float(lanes * (options.n_starts * min(options.max_periods, _USUAL) + _STAGGERED * options.saddle_points))
 
 
 def numbers(options: TransientsOptions) -> int:
     """Return how many numbers a lane leaves."""
-    return 4 * options.n_starts + 8 * MOTIONS * POINTS
+    return 4 * options.n_starts + 8 * max(MOTIONS * POINTS, options.saddle_points)
 
 
 def check(options: TransientsOptions, setting: Setting) -> None:
@@ -63,6 +67,11 @@ def run(options: TransientsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.D
     rate = escape_rate(life, escaped, options.transient)
     with lanes.stage(f"transients: saddles of {batch.count} lanes", 0):
         saddle = find_saddle(many, lanes, life)
+    if options.saddle_points:
+        with lanes.stage(f"transients: orbits on saddles of {batch.count} lanes", 0):
+            region, exponent = region_of(options.box, options.region), saddle.exponents[:, 0]
+            states = saddle_orbits(many, lanes, region, life, exponent, options.saddle_points, options.seed)
+        saddle = saddle._replace(states=states)
     unit, flow = iterate_units(batch.system), batch.flow
     variables: dict[str, Entry] = {
         "lifetime": variable(
@@ -90,14 +99,8 @@ def run(options: TransientsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.D
 
 
 def _of_lanes(rate: EscapeRate, saddle: Saddle, unit: str) -> dict[str, Entry]:
-    """Return rates, exponents and dimensions.
-
-    Along the unstable direction the information dimension is 1 − κ/λ (Kantz and Grassberger, Physica D 17 (1985) 75).
-    """
-    half = 0.5 * (rate.rate[2] - rate.rate[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        dimension = 1.0 - rate.rate[0] / saddle.exponent
-        error = np.hypot(half, rate.rate[0] * saddle.error / saddle.exponent) / np.abs(saddle.exponent)
+    """Return rates, exponents and dimensions."""
+    dimension, error = _dimension(rate, saddle)
     variables = dict[str, Entry]()
     for name, values, words in (
         ("escape_rate", rate.rate, "rate at which motions leave the region, per period of the map"),
@@ -113,15 +116,27 @@ def _of_lanes(rate: EscapeRate, saddle: Saddle, unit: str) -> dict[str, Entry]:
             variables[f"{name}{ending}"] = variable(LANE, data, f"{side}{words}", **attrs)
     return variables | {
         "escapes": variable(LANE, rate.escapes.astype(np.int32), "number of escapes that the rate is known from"),
-        "saddle_exponent": variable(
-            LANE, saddle.exponent, "largest Lyapunov exponent on the saddle, per period of the map"
+        "saddle_exponents": variable(
+            (LANE, "exponent"), saddle.exponents, "Lyapunov exponents on the saddle, per period of the map"
         ),
-        "saddle_exponent_error": variable(LANE, saddle.error, "error of the exponent at 95 %"),
-        "saddle_dimension": variable(
-            LANE, dimension, "information dimension of the saddle along one unstable direction"
-        ),
+        "saddle_exponents_error": variable((LANE, "exponent"), saddle.error, "errors of the exponents at 95 %"),
+        "saddle_dimension": variable(LANE, dimension, "information dimension of the saddle"),
         "saddle_dimension_error": variable(LANE, error, "error of the dimension at 95 %"),
     }
+
+
+def _dimension(rate: EscapeRate, saddle: Saddle) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
+    """Return the dimension and its error: by what the rate changes, and by what all exponents may change together."""
+    value, exponents = saddle_dimension(rate.rate[0], saddle.exponents), saddle.exponents
+
+    def change(rates: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        return np.abs(saddle_dimension(rates, moved) - value)
+
+    by_rate = np.maximum(*(change(end, exponents) for end in rate.rate[1:]))
+    by_exponents = np.zeros(len(value))
+    for own in np.eye(exponents.shape[1]):
+        by_exponents += np.maximum(*(change(rate.rate[0], exponents + s * own * saddle.error) for s in (1.0, -1.0)))
+    return value, np.hypot(by_rate, by_exponents)
 
 
 def _of_saddle(batch: LaneBatch, saddle: Saddle) -> dict[str, Entry]:
@@ -163,10 +178,11 @@ def starts(options: TransientsOptions) -> Starts | None:
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
     """Return the range over lanes of the escape rate, of the mean lifetime, and of the saddle's numbers."""
-    names = "escape_rate", "mean_lifetime", "saddle_exponent", "saddle_dimension", "crisis", "crisis_exponent"
+    names = "escape_rate", "mean_lifetime", "saddle_exponents", "saddle_dimension", "crisis", "crisis_exponent"
     rows = []
     for name in (name for name in names if name in data):
-        values = data[name].to_numpy().ravel()
+        of = data[name].isel(exponent=0) if "exponent" in data[name].dims else data[name]
+        values = of.to_numpy().ravel()
         finite = values[np.isfinite(values)]
         said = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size > 1 else "".join(f"{v:.6g}" for v in finite)
         rows.append((name.replace("_", " "), said or "–"))
@@ -177,8 +193,8 @@ def price(options: TransientsOptions, batch: LaneBatch) -> Price:
     """Return the price of the tangents, which points of the saddle alone have."""
     lanes = batch.chart.host_points(batch.start), dict(batch.p)
     strobe = batch.map()
-    program = PricedProgram(derivatives, (strobe, np.int32(1)), lanes, (1.0, *strobe.trip_counts))
-    return Price(program, map_alone(batch), "tangents at points of the saddle, the map alone before")
+    program = PricedProgram(derivative_and_volume, (strobe,), lanes, strobe.trip_counts, tile=ORBIT_TILE)
+    return Price(program, map_alone(batch, tile=ORBIT_TILE), "tangents at points of the saddle, the map alone before")
 
 
 ANALYSIS = Analysis(

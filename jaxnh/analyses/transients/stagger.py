@@ -1,0 +1,191 @@
+"""Orbits that stay on a chaotic saddle for as long as is asked, by stagger and step.
+
+A point whose motion stays in the region for long enough is a point near the saddle, and is carried on by the map: a
+step. One whose motion leaves sooner is moved by small random vectors, even in the logarithm of their length, until the
+motion stays longer: a stagger (Sweet, Nusse and Yorke, Phys. Rev. Lett. 86 (2001) 2261). It needs no more than
+lifetimes, whatever the number of unstable directions, and few motions that stay long by themselves. Vectors are so
+short that the nearer half of what a point is to stay for is changed by none.
+
+Which motions are met first is not what the natural measure says: parts of the saddle that motions leave soon afterwards
+are visited too often. So points are taken from here, and averages from elsewhere (`saddle`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.random_starts import Box
+from jaxnh.analyses.section_points import on_constraints, points_after, points_at, states_at
+from jaxnh.analyses.transients.lifetimes import inside, lifetimes
+from jaxnh.analyses.transients.saddle import longest
+from jaxnh.systems.state import State
+
+WALKERS = 16
+"""Orbits of each lane."""
+
+TRIES = 32
+"""Random vectors that a point is moved by at once."""
+
+_FURTHER = 12  # periods: lives longer than is wanted by more are followed no further
+_NEAR = 16.0  # points are e^−16 of the saddle's size from it, where motions stay for so long
+_SHORTEST = 2  # periods
+_LONGEST, _LEAST = 0.1, 1e-15  # of the saddle's size: lengths of vectors
+_ROUNDS = 64  # of tries, before an orbit is given up
+
+
+class _Walk(NamedTuple):
+    """Orbits to be followed, so many of each lane in a row.
+
+    Attributes:
+        batch: the orbits, with the random starts that they begin from.
+        lanes: what runs them.
+        region: that they stay in.
+        least: periods that motions from their points stay, at least, (orbits,).
+        walkers: orbits of a lane.
+        size: extent of the saddle, (orbits, d).
+        longest: vector that points are moved by, in sizes, (orbits,).
+        draws: random numbers of each lane.
+    """
+
+    batch: LaneBatch
+    lanes: LaneRunner
+    region: Box
+    least: Int[np.ndarray, " orbits"]
+    walkers: int
+    size: Float[np.ndarray, "orbits d"]
+    longest: Float[np.ndarray, " orbits"]
+    draws: Sequence[np.random.Generator]
+
+
+class _Positions(NamedTuple):
+    """Where orbits are, changed in place.
+
+    Attributes:
+        u: section coordinates, (orbits, d).
+        left: periods that the motion from there is known to stay, (orbits,).
+        failures: rounds of tries in turn without a longer one, (orbits,).
+        path: the points, (orbits, points, d), of which so many are `done`, (orbits,).
+    """
+
+    u: Float[np.ndarray, "orbits d"]
+    left: Int[np.ndarray, " orbits"]
+    failures: Int[np.ndarray, " orbits"]
+    path: Float[np.ndarray, "orbits points d"]
+    done: Int[np.ndarray, " orbits"]
+
+
+def saddle_orbits(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    region: Box,
+    periods: Int[np.ndarray, "lanes starts"],
+    exponent: Float[np.ndarray, " lanes"],
+    count: int,
+    seed: int,
+) -> State:
+    """Return so many points of each lane's saddle, components (lanes, count); not numbers where an orbit was given up.
+
+    Args:
+        batch: random starts, so many of each lane.
+        periods: their lifetimes.
+        exponent: the largest on the saddle, or not a number, which says how long is long enough.
+    """
+    number, starts = periods.shape
+    walkers = min(WALKERS, starts, count)
+    chosen = longest(periods, walkers)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enough = np.where(exponent > 0.0, np.ceil(_NEAR / exponent), np.inf)
+    stay = np.minimum(periods.ravel()[chosen].min(axis=1), enough)
+    stay = np.maximum(stay, _SHORTEST).astype(int)
+    reach = np.minimum(np.exp(-0.5 * stay * np.nan_to_num(exponent)), _LONGEST)
+    least = np.repeat(stay, walkers)
+    part = batch.take(chosen.ravel())
+    size = _extent(part, lanes, least, walkers)
+    draws = [np.random.default_rng((seed, place)) for place in part.places[::walkers].tolist()]
+    each = -(-count // walkers)
+    walk = _Walk(part, lanes, region, least, walkers, size, np.repeat(reach, walkers), draws)
+    points = _follow(walk, each)
+    flat = points.reshape(number, walkers * each, -1)[:, :count].reshape(number * count, -1)
+    return select(states_at(batch, lanes, flat), np.arange(number * count).reshape(number, count))
+
+
+def _extent(
+    batch: LaneBatch, lanes: LaneRunner, least: Int[np.ndarray, " orbits"], walkers: int
+) -> Float[np.ndarray, "orbits d"]:
+    """Return the extent of the motions of each lane until the middle of what they stay for, at least."""
+    u = points_at(batch, lanes, batch.start)
+    u = np.concatenate([u[:, None], points_after(batch, lanes, u, 0, int(least.max()))], axis=1)
+    early = (np.arange(u.shape[1]) <= least[:, None] // 2)[..., None] & np.isfinite(u)
+    low, high = (
+        np.where(early, u, outside).reshape(-1, walkers * u.shape[1], u.shape[2]) for outside in (np.inf, -np.inf)
+    )
+    size = np.maximum(high.max(axis=1) - low.min(axis=1), 0.0)
+    size = np.where(size > 0.0, size, size.max(axis=1, keepdims=True))
+    return np.repeat(np.where(size > 0.0, size, 1.0), walkers, axis=0)
+
+
+def _follow(walk: _Walk, each: int) -> Float[np.ndarray, "orbits points d"]:
+    """Return so many points of each orbit, after as many as it takes to forget where it began."""
+    u, total = points_at(walk.batch, walk.lanes, walk.batch.start), walk.least + each
+    orbits, d = u.shape
+    left, failures, done = (np.zeros(orbits, int) for _ in range(3))
+    now = _Positions(u, left, failures, np.full((orbits, int(total.max()), d), np.nan), done)
+    while len(active := np.flatnonzero((done < total) & (failures < _ROUNDS))):
+        ready = left[active] >= walk.least[active]
+        if not ready.all():
+            _stagger(walk, active[~ready], now)
+        if ready.any():
+            _step(walk, active[ready], now, total)
+    now.path[done < total] = np.nan
+    return np.take_along_axis(now.path, (walk.least[:, None] + np.arange(each))[..., None], axis=1)
+
+
+def _stagger(walk: _Walk, which: Int[np.ndarray, " some"], now: _Positions) -> None:
+    """Move points to ones that stay longer, in place, where one of the tries does."""
+    some, d = len(which), now.u.shape[1]
+    moved = (now.u[which, None] + _vectors(walk, which, d)).reshape(-1, d)
+    many = walk.batch.take(np.repeat(which, TRIES))
+    moved = np.array(walk.lanes(on_constraints, (many.system,), (moved, dict(many.p)))[0])
+    state, life = states_at(many, walk.lanes, moved), np.zeros(len(moved), int)
+    good = np.flatnonzero(inside(many, walk.region, select(state, np.arange(len(moved))[:, None]))[:, 0])
+    if len(good):
+        near = replace(many.take(good), start=select(state, good))
+        most = int(walk.least[which].max()) + _FURTHER
+        life[good] = lifetimes(near, walk.lanes, walk.region, most).periods
+    life = np.minimum(life.reshape(some, TRIES), walk.least[which, None] + _FURTHER)
+    longer = life > now.left[which, None]
+    better, row, place = longer.any(axis=1), np.arange(some), np.argmax(longer, axis=1)
+    now.u[which[better]] = moved.reshape(some, TRIES, d)[row, place][better]
+    now.left[which[better]] = life[row, place][better]
+    now.failures[which] = np.where(better, 0, now.failures[which] + 1)
+
+
+def _vectors(walk: _Walk, which: Int[np.ndarray, " some"], d: int) -> Float[np.ndarray, "some tries d"]:
+    """Return random vectors for points in order of lanes, by draws of each lane; the first of each is none."""
+    of_lane, every = which // walk.walkers, list[np.ndarray]()
+    for number, some in zip(*np.unique(of_lane, return_counts=True), strict=True):
+        way = walk.draws[number].normal(size=(some, TRIES, d))
+        range_of = np.log(_LEAST), np.log(walk.longest[number * walk.walkers])
+        length = np.exp(walk.draws[number].uniform(*range_of, (some, TRIES, 1)))
+        every.append(length * way / np.linalg.norm(way, axis=2, keepdims=True))
+    vectors = np.concatenate(every) * walk.size[which, None]
+    vectors[:, 0] = 0.0
+    return vectors
+
+
+def _step(walk: _Walk, which: Int[np.ndarray, " some"], now: _Positions, total: Int[np.ndarray, " orbits"]) -> None:
+    """Carry points on for as long as they stay long enough, in place."""
+    ahead = points_after(walk.batch.take(which), walk.lanes, now.u[which], 0, _FURTHER + 1)
+    for k, orbit in enumerate(which.tolist()):
+        begun = now.done[orbit]
+        steps = min(int(now.left[orbit] - walk.least[orbit]) + 1, int(total[orbit] - begun))
+        now.path[orbit, begun : begun + steps] = np.concatenate([now.u[orbit, None], ahead[k, : steps - 1]])
+        now.u[orbit] = ahead[k, steps - 1]
+        now.done[orbit] += steps
+        now.left[orbit] -= steps
