@@ -47,7 +47,7 @@ CONDITIONS = ("duration", "maximum", "minimum", "grazing", "amplitude")
 
 DURATION, MAXIMUM, MINIMUM, GRAZING, AMPLITUDE = range(len(CONDITIONS))
 
-_TILE = 256
+_TILE = 512
 _NEAR = 5e-3  # of invariants, in sizes and widths: chords between points of a curve are nearer to it
 
 
@@ -304,7 +304,7 @@ class _CyclePlane:
             p = {key: np.full(len(u), leaf[0]) for key, leaf in batch.p.items()}
             p |= dict(zip(names, values[:, -2:].T, strict=True))
             at = t + values[:, 0] if clock else t
-            known = lanes(height_rates, (batch.flow,), (u, at, p), tile=_TILE, static=(name, names))
+            known = lanes(height_rates, (batch.flow,), (u, at, p), tile=_TILE, static=(name, names), spread=False)
             value, by_state, by_values = map(np.asarray, known)
             return HeightValues(value, by_state, by_values if clock else by_values[..., 1:])
 

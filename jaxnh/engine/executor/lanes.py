@@ -143,6 +143,7 @@ class LaneExecutor:
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
+        spread: bool = True,
     ) -> Any:
         """function(*shared, *lane, *static) for every lane.
 
@@ -154,12 +155,13 @@ class LaneExecutor:
             periods: periods that a lane costs, for progress and accounts.
             tile: lanes a tile where a program has few lanes but much to do in each.
             static: further hashable arguments, part of the program.
+            spread: whether all devices may take part: what is short and called often takes less time on one.
 
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
         size = self._tile(shared, count_of(lanes), tile)
-        spread = self._spread and (count_of(lanes) > size or len(self.devices) <= _ALWAYS_SPREAD)
+        spread &= self._spread and (count_of(lanes) > size or len(self.devices) <= _ALWAYS_SPREAD)
         call = Call(function, shared, jax.tree.map(np.asarray, lanes), static, size, periods, spread)
         family = next((part for part in shared if isinstance(part, ParameterFamily)), None)
         if family is None:
