@@ -135,7 +135,9 @@ def is_whole(orbits, family, tree):
     for kind, critical in ((FOLD, 1.0), (DOUBLING, -1.0), (BRANCH_POINT, 1.0)):
         some = [point for point in tree.bifurcations if point.kind == kind]
         off = [np.abs(point.multipliers - critical).min() / np.abs(point.multipliers).max() for point in some]
-        assert np.quantile(off, 0.95) < 1e-5  # a fold's multiplier goes like the root of the distance, 1e-10 or less
+        assert (
+            np.quantile(off or [0.0], 0.95) < 1e-5
+        )  # a fold's multiplier goes like the root of the distance, 1e-10 or less
     names = {(point.kind, len(point.points), point.value, *np.sort(point.points[:, 0])) for point in tree.bifurcations}
     assert len(names) == len(tree.bifurcations)
     assert tree.lost < 0.05 * len(tree.bifurcations)
@@ -152,9 +154,9 @@ def test_branches_with_all_that_leaves_them(scene, lanes):
 def test_a_thousand_branches_in_one_run(scene, lanes):
     """Of periods up to 8, begun in chaos, with all their bifurcations, errors, and the branches that are born there.
 
-    In forty steps either way few reach an end of the range.
+    In fifteen steps either way few reach an end of the range.
     """
-    orbits, family, tree = grown(scene, lanes, [4.7, 4.78, 4.85, 4.92], 80, 8, StepControl(0.05, 40))
+    orbits, family, tree = grown(scene, lanes, [4.62, 4.7, 4.78, 4.85, 4.92], 80, 8, StepControl(0.05, 15))
     assert len(tree.branches) > 1000
     assert len(tree.bifurcations) > 1000
     assert np.median([point.error for point in tree.bifurcations]) < 1e-6  # of the rough map of this scene
