@@ -120,7 +120,7 @@ def _on_cubics(
 ) -> Float[np.ndarray, "more n d"]:
     """On cubics between points of branches and their next the orbits at a value that they pass there."""
     size = length(family, PathVector(points[1] - points[0], values[1] - values[0]))
-    rates, ways = size * ways.value, size[:, None, None] * ways.points
+    rates, slopes = size * ways.value, size[:, None, None] * ways.points
 
     def rise(s: np.ndarray) -> np.ndarray:
         left = 1.0 - s
@@ -135,7 +135,7 @@ def _on_cubics(
     orbits = list[np.ndarray]()
     for low, high in ((zero, turn), (turn, one)):
         passes = (above(low) <= 0.0) != (above(high) <= 0.0)
-        orbits.append(_cubic(_zeros(above, low, high)[:, None, None], points, ways)[passes])
+        orbits.append(_cubic(_zeros(above, low, high)[:, None, None], points, slopes)[passes])
     return np.concatenate(orbits)
 
 

@@ -216,12 +216,12 @@ class AmplitudeCondition(ExtremumCondition):
         number = np.argmin(self._values(self._height, solution, states, shares), axis=1)
         shares = np.concatenate([np.zeros((len(row), 1)), shares], axis=1)  # numbers are those of the sample before
         low, high = shares[row, number], shares[row, np.minimum(number + 2, shares.shape[1] - 1)]
+        before, after = np.full((2, len(row)), np.nan)
         for _ in range(_ROUNDS):
             places = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _PLACES)
             rates = self._values(self._height, solution, values_at(solution.path, places), places, 1)
             k = np.clip(np.argmax(rates > 0.0, axis=1), 1, _PLACES - 1)
-            low, high = places[row, k - 1], places[row, k]
-        before, after = rates[row, k - 1], rates[row, k]
+            low, high, before, after = places[row, k - 1], places[row, k], rates[row, k - 1], rates[row, k]
         share = np.where(before * after < 0.0, before / np.where(before == after, 1.0, before - after), 0.5)
         return (low + share * (high - low))[:, None]
 
