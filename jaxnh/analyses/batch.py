@@ -257,6 +257,7 @@ class LaneRunner(Protocol):
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
+        spread: bool = True,
     ) -> Any:
         """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
 

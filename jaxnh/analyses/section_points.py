@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.maps.section import Crossing, System
+from jaxnh.maps.section import Crossing, Section, System, rates
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
+
+_STILL = 1e-9  # of the largest rates: integrators keep equilibria to rounding
 
 
 def points_at(
@@ -23,6 +26,20 @@ def points_at(
 def states_at(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], tile: int | None = None) -> State:
     """Return the states at section coordinates."""
     return lanes(_state_at, (batch.system,), (u,), tile=tile)
+
+
+def at_rest(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]) -> Bool[np.ndarray, " lanes"]:
+    """Return whether points on a section are equilibria of the flow: fixed points of its return map that are no orbits.
+
+    Of every coordinate the rate is nothing beside the largest among these points and the starts of the lanes.
+    """
+    system = batch.system
+    if not isinstance(system, Section):
+        return np.zeros(len(u), bool)
+    begun = points_at(batch, lanes, batch.start)
+    speeds = [np.abs(lanes(_rates_at, (system,), (each, dict(batch.p)))) for each in (u, begun)]
+    largest = np.nanmax(np.concatenate(speeds), axis=0, initial=0.0)
+    return np.all(speeds[0] <= _STILL * largest, axis=1)
 
 
 def states_after(
@@ -58,6 +75,10 @@ def on_constraints(system: System, u: Float[Array, " d"], p: Parameters) -> tupl
         return system.chart.point(state), state.state
     state = system.flow.nearest(state, p)
     return system.chart.point(state), state
+
+
+def _rates_at(system: Section, u: Float[Array, " d"], p: Parameters) -> Float[Array, " rates"]:
+    return jnp.stack(rates(system.flow, system.chart.state(u).state, p))
 
 
 def _point_of(system: System, state: State) -> Float[Array, " d"]:

@@ -36,6 +36,7 @@ _IN_TURN = 150  # equations of a field from which on tangents take turns: compil
 _CACHE = 72 << 10  # bytes for the stages of a tile: measured, of most flows 128 lanes are faster than 64 and 256
 _MOST_LANES, _FEWEST_LANES = 256, 32
 
+
 class Moving(NamedTuple):
     """State carried from step to step.
 

@@ -119,24 +119,29 @@ def underdetermined_square(
 
 def solutions(
     cycle: Cyclic, right: Float[np.ndarray, "... n m"], columns: Float[np.ndarray, "... n m k"]
-) -> tuple[tuple[np.ndarray, np.ndarray], list[tuple[np.ndarray, np.ndarray]]]:
+) -> tuple[tuple[np.ndarray, np.ndarray], list[tuple[np.ndarray, np.ndarray]], Cyclic]:
     """All solutions of A_i y_i + B_i y_{i+1} + C_i x = r_i with k unknowns x, which all equations know.
 
     Returns:
-        One of them, y and x, (..., n, m) and (..., k), the least in (y_0, x); and k directions to all others.
+        One of them, y and x, (..., n, m) and (..., k), the least in (y_0, x); k directions to all others; and
+        the equations with k more, in which those directions' parts in (y_0, x) are the rows.
     """
     k, m = columns.shape[-1], right.shape[-1]
     last, known = _eliminated_sides(cycle, np.concatenate([right[..., None], columns], axis=-1))
-    left, singular, rows = np.linalg.svd(np.concatenate([cycle.closed, last[..., 1:]], axis=-1), full_matrices=True)
+    wide = np.concatenate([cycle.closed, last[..., 1:]], axis=-1)
+    left, singular, rows = np.linalg.svd(wide, full_matrices=True)
     least = np.swapaxes(left, -1, -2) @ last[..., :1] / singular[..., None]
     least = np.swapaxes(rows[..., : -k or None, :], -1, -2) @ least
-    first = np.concatenate([least, *(rows[..., -1 - j, :, None] for j in range(k))], axis=-1)
+    null = rows[..., : -1 - k : -1, :]
+    square = np.concatenate([wide, null], axis=-2)
+    first = np.concatenate([least, np.swapaxes(null, -1, -2)], axis=-1)
     x = first[..., m:, :]
     sides = [-known_one[..., 1:] @ x for known_one in known]
     for side, known_one in zip(sides, known, strict=True):
         side[..., 0] += known_one[..., 0]
     y = _substitute_back(cycle, first[..., :m, :], sides)
-    return (y[..., 0], x[..., 0]), [(y[..., 1 + j], x[..., 1 + j]) for j in range(k)]
+    ways = [(y[..., 1 + j], x[..., 1 + j]) for j in range(k)]
+    return (y[..., 0], x[..., 0]), ways, cycle._replace(closed=square)
 
 
 def null_vector(cycle: Cyclic) -> Float[np.ndarray, "... n m"]:

@@ -70,6 +70,28 @@ def test_pitchfork_from_lanes_that_have_settled(tmp_path):
     assert max(root) == pytest.approx(np.sqrt(0.7), abs=1e-9)
 
 
+def test_lanes_that_have_come_to_rest_are_on_no_branch(tmp_path):
+    """Below the Hopf bifurcation of r′ = μr − r³ lanes come back to a section through the equilibrium, ever nearer to it."""
+    (tmp_path / "hopf.py").write_text(
+        "def system(mu=0.5):\n    def rhs(state, t):\n        x, y = state\n        growth = mu - x * x - y * y\n"
+        "        return growth * x - 2.0 * y, growth * y + 2.0 * x\n\n"
+        '    return {"rhs": rhs, "coordinates": ("x", "y")}\n'
+    )
+    (tmp_path / "hopf.yaml").write_text(
+        "system: {file: hopf.py}\ninitial: {x: 0.5}\nsweep: {mu: {start: -0.6, stop: 0.6, count: 6}}\n"
+        "section: {coordinate: y, value: 0.0, direction: up}\naccuracy: {target: 1.0e-6}\n"
+        "analyses: {branches: {max_period: 1, transient: 64}, windows: {max_period: 1, transient: 64, levels: 0}}\n"
+    )
+    tree = session_of(jaxnh.load(tmp_path / "hopf.yaml")).tree()
+    branches = tree["branches"]
+    mu, x = branches["mu"].values, branches["x"].values
+    known = np.isfinite(mu)
+    assert np.abs(x[known] ** 2 - mu[known]).max() < 1e-5
+    assert mu[known].min() > -1e-9
+    assert int(branches["not_located"]) == 0
+    assert tree["windows"].sizes["window"] == 1
+
+
 @pytest.mark.slow
 def test_random_starts_find_what_no_lane_settles_on(tmp_path):
     """Far beyond the pitchfork x = 0 repels; Newton finds it all the same, and x = −√μ, where no lane goes."""

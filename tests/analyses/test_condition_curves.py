@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -16,6 +19,9 @@ from tests.helpers import contract
 from tests.helpers.kept_programs import session_of
 
 HOPF = """
+import jax.numpy as jnp
+
+
 def system(mu=0.5, nu=1.0):
     def rhs(state, t):
         x, y = state
@@ -25,7 +31,10 @@ def system(mu=0.5, nu=1.0):
     def height(state, t):
         return 0.6 * state[0] + 0.8 * state[1]
 
-    return {"rhs": rhs, "coordinates": ("x", "y"), "observables": {"height": height}}
+    def power(state, t):
+        return jnp.exp(state[0])
+
+    return {"rhs": rhs, "coordinates": ("x", "y"), "observables": {"height": height, "power": power}}
 """
 
 PUMPED_DUFFING = """
@@ -104,29 +113,157 @@ def test_amplitudes_of_hopfs_normal_form(tmp_path):
     assert "warnings" not in data.attrs
 
 
+def test_amplitude_of_an_observable(tmp_path):
+    """exp(x) is between exp(−r) and exp(r) along the circle of radius r = √(μ/ν): its amplitude is 2 sinh r."""
+    data = data_of(
+        curves_of(tmp_path, HOPF, "{x: 0.5}", HOPF_SWEEP, "n_values: 1, ds_max: 0.2, amplitude: {power: 1.5}", UP)
+    )
+    assert kinds_of(data) == ["amplitude"]
+    assert data["condition"].values.tolist() == ["amplitude of power = 1.5"]
+    mu, nu, mu_error, nu_error = points_of(data, 0, "mu", "nu")
+    square = np.arcsinh(0.75) ** 2
+    assert np.all(np.abs(mu - square * nu) <= mu_error + square * nu_error)
+    assert max(mu_error.max(), nu_error.max()) < 1e-8
+    assert (nu.min(), nu.max()) == pytest.approx((0.8, 1.2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("names", "factor"), [("{v: 1.4}", 2.0), ("{x: 1.0}", None)])
+def test_amplitude_with_a_clock(tmp_path, names, factor):
+    """Of the linear oscillator over the drive's frequency: twice ωF/√((1 − ω²)² + 4ζ²ω²) of the velocity."""
+    sweep = "omega: {start: 0.5, stop: 1.5, count: 2}, force: {start: 0.1, stop: 1.2, count: 3}"
+    text = OSCILLATOR.replace("zeta=0.1", "zeta=0.15")
+    data = data_of(curves_of(tmp_path, text, "{x: 0.1}", sweep, f"n_values: 3, ds_max: 0.1, amplitude: {names}"))
+    omega, force, omega_error, force_error = points_of(data, 0, "omega", "force")
+
+    def exact(omega):
+        return (0.7 / omega if factor else 0.5) * np.hypot(1 - omega**2, 0.3 * omega)
+
+    slope = np.abs(exact(omega + 1e-6) - exact(omega - 1e-6)) / 2e-6
+    assert np.all(np.abs(force - exact(omega)) <= force_error + slope * omega_error + 1e-14)
+    assert max(omega_error.max(), force_error.max()) < 1e-8
+
+
+# ---- bars over many set-ups
+
+
+class SetUp(NamedTuple):
+    """Curves whose closed form is known, at levels in a range: a flow, both parameters, and a function zero on the curve."""
+
+    flow: tuple[str, str, str, str]
+    names: tuple[str, str]
+    levels: tuple[float, float]
+    options: Callable[[float], dict[str, Any]]
+    exact: Callable[..., np.ndarray]
+    fixed: str = ""
+
+
+def duration_of_duffing(energy, alpha):
+    square = (np.sqrt(1 + 4 * alpha * energy) - 1) / alpha
+    return 4 / np.sqrt(1 + alpha * square) * ellipk(alpha * square / (2 + 2 * alpha * square))
+
+
+ENERGY_SWEEP = "energy: {start: 0.2, stop: 2.0, count: 3}, alpha: {start: 0.2, stop: 2.0, count: 3}"
+WALLED = (
+    IMPACT.replace("EVENTS", f'"jumps": [{{"when": {WALL}}}]')
+    .replace("- 1.0", "- wall")
+    .replace("0.8)", "0.8, wall=1.0)")
+)
+SET_UPS = {
+    "maximum": SetUp(
+        (HOPF, "{x: 0.5}", HOPF_SWEEP, UP),
+        ("mu", "nu"),
+        (0.65, 0.9),
+        lambda level: {"maximum": {"height": level}},
+        lambda level, mu, nu: mu - level**2 * nu,
+    ),
+    "amplitude": SetUp(
+        (HOPF, "{x: 0.5}", HOPF_SWEEP, UP),
+        ("mu", "nu"),
+        (1.4, 2.0),
+        lambda level: {"amplitude": {"power": level}},
+        lambda level, mu, nu: mu - np.arcsinh(0.5 * level) ** 2 * nu,
+    ),
+    "duration": SetUp(
+        (PUMPED_DUFFING, "{x: 0.5, v: 0.5}", ENERGY_SWEEP, UP.replace("coordinate: y", "coordinate: x")),
+        ("energy", "alpha"),
+        (5.25, 6.0),
+        lambda level: {"duration": level},
+        lambda level, energy, alpha: duration_of_duffing(energy, alpha) - level,
+    ),
+    "clock": SetUp(
+        (OSCILLATOR, "{x: 0.1}", IMPACT_SWEEP, ""),
+        ("force", "zeta"),
+        (0.6, 1.2),
+        lambda level: {"maximum": {"v": level}},
+        lambda level, force, zeta: 0.8 * force - level * np.hypot(1 - 0.64, 1.6 * zeta),
+    ),
+    "grazing": SetUp(
+        (WALLED, "{x: 0.1}", IMPACT_SWEEP, ""),
+        ("force", "zeta"),
+        (0.7, 1.4),
+        lambda level: {"grazing": True},
+        lambda level, force, zeta: force - level * np.hypot(1 - 0.64, 1.6 * zeta),
+        "wall",
+    ),
+}
+
+
+def share_covered(kind, folder, count):
+    """The share of points of curves at so many levels that are as near to the closed form as both of their bars say.
+
+    Slopes of the function that is zero on a curve say how far from it the bars of both parameters reach.
+    """
+    (text, initial, sweep, section), names, levels, options, exact, fixed = SET_UPS[kind]
+    session, covered = (
+        curves_of(folder, text, initial, sweep, "duration: 9.0" if section else "maximum: {x: 9.0}", section),
+        [],
+    )
+    for level in np.linspace(*levels, count):
+        asked = jaxnh.Curves(max_period=1, transient=32, bifurcations=False, n_values=1, ds_max=0.1, **options(level))
+        data = session.run(asked, **({fixed: level} if fixed else {}))
+        one, other, *errors = points_of(data, 0, *names)
+        slopes = [
+            np.abs(exact(level, one + a, other + b) - exact(level, one - a, other - b)) / 2e-6
+            for a, b in ((1e-6, 0.0), (0.0, 1e-6))
+        ]
+        off = np.abs(exact(level, one, other))
+        covered += (off <= slopes[0] * errors[0] + slopes[1] * errors[1]).tolist()
+        assert max(error.max() for error in errors) < 1e-7
+    return np.mean(covered)
+
+
+@pytest.mark.parametrize("kind", ["maximum", "amplitude"])
+def test_bars_of_curves(tmp_path, kind):
+    assert share_covered(kind, tmp_path, 2) >= 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SET_UPS)
+def test_bars_of_many_curves(tmp_path, kind):
+    """Of ten curves of each kind, fifty in all."""
+    assert share_covered(kind, tmp_path, 10) >= 0.95
+
+
 @pytest.mark.slow
 def test_backbone_of_duffings_oscillator(tmp_path):
     """Cycles at the energy E of x″ + x + αx³ = 0, which a pump there leaves as they are, take 4K(m)/√(1 + αA²).
 
     A is the amplitude, m = αA²/(2 + 2αA²) (Kovacic and Brennan, The Duffing Equation, 2011).
     """
-    sweep = "energy: {start: 0.2, stop: 2.0, count: 3}, alpha: {start: 0.2, stop: 2.0, count: 3}"
     section = UP.replace("coordinate: y", "coordinate: x")
     options = "n_values: 2, ds_max: 0.1, duration: 5.0"
-    data = data_of(curves_of(tmp_path, PUMPED_DUFFING, "{x: 0.5, v: 0.5}", sweep, options, section))
+    data = data_of(curves_of(tmp_path, PUMPED_DUFFING, "{x: 0.5, v: 0.5}", ENERGY_SWEEP, options, section))
     assert kinds_of(data) == ["duration"]
     energy, alpha, energy_error, alpha_error = points_of(data, 0, "energy", "alpha")
 
-    def duration(energy, alpha):
-        square = (np.sqrt(1 + 4 * alpha * energy) - 1) / alpha
-        return 4 / np.sqrt(1 + alpha * square) * ellipk(alpha * square / (2 + 2 * alpha * square))
-
     shift = 1e-6
     slopes = [
-        np.abs(duration(energy + de, alpha + da) - duration(energy - de, alpha - da)) / (2 * shift)
+        np.abs(duration_of_duffing(energy + de, alpha + da) - duration_of_duffing(energy - de, alpha - da))
+        / (2 * shift)
         for de, da in ((shift, 0.0), (0.0, shift))
     ]
-    gap = np.abs(duration(energy, alpha) - 5.0)
+    gap = np.abs(duration_of_duffing(energy, alpha) - 5.0)
     assert np.all(gap <= slopes[0] * energy_error + slopes[1] * alpha_error + 1e-14)
     assert max(energy_error.max(), alpha_error.max()) < 1e-7
     assert np.ptp(alpha) > 1.0

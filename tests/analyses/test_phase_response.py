@@ -37,6 +37,19 @@ def system(rate=3.0):
     return {"rhs": rhs, "coordinates": ("x", "y")}
 """
 
+BENT = f"""
+def system(mu=0.5, shear=0.7, bend=0.4):
+    def rhs(state, t):
+        x, y = state
+        height = y - bend * x * x
+        r2 = x * x + height * height
+        growth, turn = mu - r2, {TURN} - shear * r2
+        dx = growth * x - turn * height
+        return dx, growth * height + turn * x + 2.0 * bend * x * dx
+
+    return {{"rhs": rhs, "coordinates": ("x", "y")}}
+"""
+
 VAN_DER_POL = """
 def system(mu=1.0):
     def rhs(state, t):
@@ -57,7 +70,7 @@ def responses(folder, text, sweep, section="{coordinate: y, value: 0.0, directio
     )
     (folder / "flow.yaml").write_text(config)
     data = session_of(jaxnh.load(folder / "flow.yaml")).tree()["period"].to_dataset()
-    contract.check("period", data, ("x", "y", "v", "mu", "rate", "t"))
+    contract.check("period", data, ("x", "y", "v", "mu", "rate", "shear", "bend", "t"))
     return data
 
 
@@ -86,6 +99,52 @@ def test_poincares_oscillator(tmp_path):
     data = responses(tmp_path, POINCARE, "rate: {values: [0.5, 20.0]}")
     holds(data, "x_response", -np.sin(data["phase"].values))
     holds(data, "y_response", np.cos(data["phase"].values))
+
+
+# ---- bars over many set-ups
+
+
+def shares_covered_of_bent_cycles(folder, sweep):
+    """Stuart and Landau's cycles in x = X, y = Y + κX², from X = 0 downward on: κ makes them uneven.
+
+    Of every number the share that its bar covers, and the largest bar.
+    """
+    data = responses(folder, BENT, sweep, "{coordinate: x, value: 0.0, direction: down}")
+    mu, shear, bend = (data[name].values for name in ("mu", "shear", "bend"))
+    mu, shear, bend = (part[..., None] for part in np.meshgrid(mu, shear, bend, indexing="ij"))
+    angle, radius = data["phase"].values + 0.5 * np.pi, np.sqrt(mu)
+    x = radius * np.cos(angle)
+    by_y = (np.cos(angle) - shear * np.sin(angle)) / radius
+    exact = {
+        "time": 2 * np.pi / (TURN - shear * mu)[..., 0],
+        "x": x,
+        "y": radius * np.sin(angle) + bend * x**2,
+        "x_response": (-np.sin(angle) - shear * np.cos(angle)) / radius - 2.0 * bend * x * by_y,
+        "y_response": by_y + 0.0 * bend,
+    }
+    dims = ("mu", "shear", "bend", "phase")
+    ratios = {name: np.abs(data[name].transpose(*dims[: value.ndim]).values - value) for name, value in exact.items()}
+    errors = {name: data[f"{name}_error"].transpose(*dims[: value.ndim]).values for name, value in exact.items()}
+    return {name: np.mean(ratios[name] <= errors[name]) for name in exact}, max(e.max() for e in errors.values())
+
+
+def test_bars_of_bent_cycles(tmp_path):
+    sweep = "mu: {values: [0.3, 0.9]}, shear: {values: [0.5]}, bend: {values: [0.0, 0.8]}"
+    shares, largest = shares_covered_of_bent_cycles(tmp_path, sweep)
+    assert min(shares.values()) >= 0.95, shares
+    assert largest < 1e-7
+
+
+@pytest.mark.slow
+def test_bars_of_many_bent_cycles(tmp_path):
+    """Of 48 sets of parameters: no fewer than 95 in 100 are covered, of each kind of number."""
+    mu, shear, bend = (
+        f"{{start: {a}, stop: {b}, count: {n}}}" for a, b, n in ((0.1, 1.2, 4), (-1.0, 1.5, 3), (0.0, 1.5, 4))
+    )
+    sweep = f"mu: {mu}, shear: {shear}, bend: {bend}"
+    shares, largest = shares_covered_of_bent_cycles(tmp_path, sweep)
+    assert min(shares.values()) >= 0.95, shares
+    assert largest < 1e-6
 
 
 def rates_of_van_der_pol(mu, y):

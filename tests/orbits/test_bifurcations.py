@@ -9,8 +9,10 @@ import pytest
 from jaxnh.analyses.continuation.families import equilibrium_family, orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.periodic.location import refined_maps
+from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.kinds import KINDS
-from jaxnh.orbits.continuation.paths import ENDS, STEPS
+from jaxnh.orbits.continuation.paths import ENDS, STEPS, StepControl
 from jaxnh.orbits.multipliers import merged, multipliers
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
@@ -61,6 +63,23 @@ def test_window_of_period_three():
     assert len(again.branches) == 1
     tree = grow([LOGISTIC] * 3, [[SeedOrbit(np.array(logistic_orbit(2, 3.3)), 3.3)]], 2, STEPS)
     assert [branch.period for branch in tree.branches] == [2, 1]
+
+
+@pytest.mark.parametrize("steepness", [20.0, 200.0])
+def test_multiplier_that_changes_within_a_small_part_of_a_step(steepness):
+    """u → (tanh(s(μ − 1/π)) − 1) u + u³: a doubling at μ = 1/π, and no polynomial follows the multiplier over a step."""
+
+    def period(u, mu):
+        x, bent = u[:, 0], np.tanh(steepness * (mu - 1 / np.pi))
+        slope = (bent - 1.0 + 3.0 * x**2)[:, None, None]
+        return Derivatives(((bent - 1.0) * x + x**3)[:, None], slope, (steepness * (1.0 - bent**2) * x)[:, None])
+
+    family = Family(period, lambda gap: gap, np.ones(1), 0.0, 1.0)
+    tree = grow([family] * 3, [[SeedOrbit(np.zeros((1, 1)), 0.0)]], 1, StepControl(0.05))
+    kinds, points = named(tree)
+    assert kinds == [("period_doubling", 1)]
+    assert tree.lost == 0
+    assert abs(points[0].value - 1 / np.pi) <= points[0].error < 1e-9
 
 
 def test_branch_between_two_doublings_is_one():

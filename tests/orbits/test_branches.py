@@ -10,7 +10,7 @@ from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.continuation.arclength import Family, along_parameter, correct
 from jaxnh.orbits.continuation.branches import follow_both_ways
 from jaxnh.orbits.continuation.core import FINE
-from jaxnh.orbits.continuation.paths import COLLAPSED, ENDS, RANGE
+from jaxnh.orbits.continuation.paths import COLLAPSED, ENDS, RANGE, StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.flows.duffing_resonance import by_scipy, duffing
@@ -107,7 +107,7 @@ def test_branch_stays_on_its_side_of_an_imperfect_pitchfork(break_):
     """The curve of x > 0 comes as near as ε^(1/3) to where the others almost cross it, and goes on to small x."""
     family = imperfect(break_)
     for x in (np.sqrt(0.4), -np.sqrt(0.4)):
-        branch = follow_both_ways(family, begun(family, [[x]], 0.4))[0]
+        branch = follow_both_ways(family, begun(family, [[x]], 0.4), StepControl(0.05))[0]
         assert branch.ends == (RANGE, RANGE)
         followed = branch.points[:, 0, 0]
         assert np.all(np.sign(followed) == np.sign(x))

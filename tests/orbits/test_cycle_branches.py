@@ -97,6 +97,41 @@ def test_branch_is_born_in_a_hopf_bifurcation():
             assert abs(point.solution.duration[0] - 2 * np.pi / OMEGA) < 1e-7
 
 
+def imperfect(break_):
+    """A circle of radius one, and z′ = μz − z³ + ε around it: cycles are at μ = z² − ε/z, a curve for either sign of z."""
+
+    def system(mu=0.4):
+        def rhs(state, t):
+            x, y, z = state
+            growth = 1.0 - x * x - y * y
+            return growth * x - y, growth * y + x, mu * z - z * z * z + break_
+
+        return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+
+    return system
+
+
+@pytest.mark.parametrize("break_", [1e-4, 1e-6, 1e-8])
+def test_branch_of_cycles_stays_on_its_side_of_an_imperfect_pitchfork(break_):
+    """From μ = 0.4 down, on either side of z = 0: one curve goes on to small z, the other turns, ε^(1/3) apart."""
+    problem = problem_of(first_order(imperfect(break_), {"mu": 0.4}, ("mu",)), ("mu",), (1.0, 1.0, 1.0), (1.0,))
+    times = np.linspace(0.0, 2 * np.pi, 40)
+    for z in (np.sqrt(0.4), -np.sqrt(0.4)):
+        states = np.stack([np.cos(times), np.sin(times), np.full(40, z)], axis=1)
+        path, duration = path_through(times, states, 10)
+        guess = BoundarySolution(path, np.array([duration]), np.array([[0.4]]))
+        cycle = correct(problem, guess, closure(problem, np.zeros((1, 3))), hold)
+        begun = reversed_way(point_at(problem, cycle.solution, np.zeros(3), None))
+        branch = follow_cycles(problem, begun, np.zeros(3), (-0.5, 0.5), StepControl(0.05, 400))
+        assert branch.ends[1] == RANGE
+        heights = np.array([point.solution.path.ends[0, 0, 2] for point in branch.points])
+        assert np.all(np.sign(heights) == np.sign(z))
+        assert branch.value[-1] == pytest.approx(-0.5 if z > 0 else 0.5)
+        slope = np.abs(2 * heights + break_ / heights**2)
+        off = np.abs(branch.value - (heights**2 - break_ / heights))
+        assert np.all(off < 1e-10 * (1 + slope))  # the square of Newton's last step, which the slope in z enlarges
+
+
 @functools.cache
 def roessler_branch():
     problem = problem_of(first_order(roessler, {"c": 2.5}, ("c",)), ("c",), (5.0, 5.0, 3.0), (3.0,))

@@ -36,7 +36,7 @@ from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.options.orbits import BranchesOptions
-from jaxnh.analyses.periodic.attractor_survey import survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, survey_from_start
 from jaxnh.analyses.periodic.flow_cycles import duration_of, no_collocation
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
@@ -129,7 +129,8 @@ def run(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
 def settle(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> SettledOrbits:
     """Motions that lanes settle on from their start."""
     attractors = survey_from_start(batch, lanes, options.max_period, "branches", options.transient)
-    return SettledOrbits(attractors.period, attractors.u, np.where(attractors.failed[:, None], np.nan, attractors.size))
+    period = periods_in_motion(batch, lanes, attractors)
+    return SettledOrbits(period, attractors.u, np.where(attractors.failed[:, None], np.nan, attractors.size))
 
 
 def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:

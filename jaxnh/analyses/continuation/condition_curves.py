@@ -1,4 +1,4 @@
-"""Curves of cycles over two parameters that keep a condition: a duration, an extremum, or the grazing of a surface.
+"""Curves of cycles over two parameters that keep a condition: a duration, an extremum, an amplitude, or grazing.
 
 Cycles to begin with are those on branches over the first axis, at some values of the second, where the condition is met
 between two points. They are solutions of the flow by collocation (`orbits.collocation.conditions`); of a flow with
@@ -26,6 +26,7 @@ from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.flow_cycles import cycle_size, flow_problem, no_collocation
 from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.collocation.conditions import (
+    AmplitudeCondition,
     DurationCondition,
     ExtremumCondition,
     Height,
@@ -41,12 +42,12 @@ from jaxnh.orbits.continuation.paths import CLOSED, STEPS, StepControl
 from jaxnh.systems.observables import observable, observable_names, smooth_branch, surface_names
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
-CONDITIONS = ("duration", "maximum", "minimum", "grazing")
+CONDITIONS = ("duration", "maximum", "minimum", "grazing", "amplitude")
 """Conditions by number."""
 
-DURATION, MAXIMUM, MINIMUM, GRAZING = range(len(CONDITIONS))
+DURATION, MAXIMUM, MINIMUM, GRAZING, AMPLITUDE = range(len(CONDITIONS))
 
-_TILE = 256
+_TILE = 512
 _NEAR = 5e-3  # of invariants, in sizes and widths: chords between points of a curve are nearer to it
 
 
@@ -94,7 +95,7 @@ class ConditionCurve(NamedTuple):
 
 def conditions_of(options: CurvesOptions) -> list[CycleCondition]:
     """The conditions that options ask for; of grazing one, whatever surfaces there are."""
-    extrema = ((MAXIMUM, options.maximum), (MINIMUM, options.minimum))
+    extrema = ((MAXIMUM, options.maximum), (MINIMUM, options.minimum), (AMPLITUDE, options.amplitude))
     return [
         *([CycleCondition(DURATION, "", options.duration)] if options.duration else []),
         *(CycleCondition(kind, name, value) for kind, each in extrema for name, value in (each or {}).items()),
@@ -227,10 +228,12 @@ class _CyclePlane:
                     equations = ExtremumCondition(self._problem, height, 0.0, sign, guards)
                     made.append((one._replace(name=name), equations))
             else:
-                sign = 1.0 if one.kind == MAXIMUM else -1.0
                 guards = [(height, its) for _, height, its in surfaces]
-                height = self._height(one.name)
-                made.append((one, ExtremumCondition(self._problem, height, one.value, sign, guards)))
+                at = self._problem, self._height(one.name), one.value
+                if one.kind == AMPLITUDE:
+                    made.append((one, AmplitudeCondition(*at, guards)))
+                else:
+                    made.append((one, ExtremumCondition(*at, 1.0 if one.kind == MAXIMUM else -1.0, guards)))
         return made
 
     def new_curves(
@@ -301,7 +304,7 @@ class _CyclePlane:
             p = {key: np.full(len(u), leaf[0]) for key, leaf in batch.p.items()}
             p |= dict(zip(names, values[:, -2:].T, strict=True))
             at = t + values[:, 0] if clock else t
-            known = lanes(height_rates, (batch.flow,), (u, at, p), tile=_TILE, static=(name, names))
+            known = lanes(height_rates, (batch.flow,), (u, at, p), tile=_TILE, static=(name, names), spread=False)
             value, by_state, by_values = map(np.asarray, known)
             return HeightValues(value, by_state, by_values if clock else by_values[..., 1:])
 

@@ -51,7 +51,7 @@ from jaxnh.analyses.continuation.families import (
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import CurvesOptions
-from jaxnh.analyses.periodic.attractor_survey import survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, survey_from_start
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.maps.section import Section
@@ -171,7 +171,7 @@ def _attractors(options: CurvesOptions, batches: Sequence[LaneBatch], lanes: Lan
     waves, sizes = list[list[list[SeedOrbit]]](), list[np.ndarray]()
     for batch in batches if options.max_period else []:
         survey = survey_from_start(batch, lanes, options.max_period, "curves", options.transient)
-        waves.append(attractor_waves(batch, lanes, survey.u, np.where(survey.failed, 0, survey.period)))
+        waves.append(attractor_waves(batch, lanes, survey.u, periods_in_motion(batch, lanes, survey)))
         sizes.append(survey.size[~survey.failed])
     extents = np.concatenate(sizes) if sizes else np.zeros((0, batches[0].chart.dimension))
     return _Attractors(waves, np.median(extents, axis=0) if len(extents) else np.ones(extents.shape[1]))

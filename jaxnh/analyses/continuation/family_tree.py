@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxnh.analyses.continuation.known_branches import SAME, is_on_branch, same_orbit
+from jaxnh.analyses.continuation.known_branches import SAME, KnownBranches, same_orbit
 from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, neutral_pair
 from jaxnh.orbits.bifurcations.normal_forms import cubic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, along_parameter, correct
@@ -27,6 +27,9 @@ from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
 _LOOKED_AT = 9  # points of a branch
+_ABREAST = (
+    8  # times the branches that fill a tile: with 32 lanes a tile, calls of 64 to 512 lanes take a quarter of the time
+)
 _NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
 _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
 
@@ -125,27 +128,39 @@ def _follow_branches(
         queue.append(orbits.take(orbits.converged))
     orbits: CurveOrbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), *queue)
     n = orbits.points.shape[1]
-    known = [branch for branch in tree.branches if branch.period == n]
+    whole, kept, new = KnownBranches(family, tree.branches, n), KnownBranches(family, tree.branches, n), list[Branch]()
+    seen = 0
 
-    def is_new(others: Sequence[Branch], k: int) -> bool:
-        near = _BESIDE if k < beside else SAME
-        return not is_on_branch(family, others, orbits.points[k], float(orbits.value[k]), near)
+    def is_new(known: KnownBranches, k: int) -> bool:
+        return not known.has(orbits.points[k], float(orbits.value[k]), _BESIDE if k < beside else SAME)
+
+    def is_wanted(branches: Sequence[Branch], k: int) -> bool:
+        nonlocal seen
+        for branch in branches[seen:]:
+            whole.add(branch)
+        seen = len(branches)
+        return is_new(whole, k)
 
     with stage(f"branches of period {n} from {len(orbits.value)} orbits"):  # and back through bifurcations as well
-        followed = follow_both_ways(
-            family, orbits, steps, lambda branches, k: is_new([*known, *branches], k), family.at_once
-        )
-    new = list[Branch]()
+        followed = follow_both_ways(family, orbits, steps, is_wanted, _at_once(family, seeds))
     for k, branch in followed.items():
-        if len(branch.value) > 1 and is_new(new, k) and not (k < beside and _is_known(family, [*known, *new], branch)):
+        if len(branch.value) > 1 and is_new(kept, k) and not (k < beside and _is_known(kept, branch)):
             new.append(branch)
+            kept.add(branch)
     return new
 
 
-def _is_known(family: Family, known: Sequence[Branch], branch: Branch) -> bool:
+def _at_once(family: Family, seeds: Sequence[SeedOrbit]) -> int:
+    """Branches that are followed side by side: more where many orbits are at one value, mostly on as many branches."""
+    values = np.array([orbit.value for orbit in seeds])
+    most = int(np.unique(values, return_counts=True)[1].max(initial=0))
+    return int(np.clip(most, family.at_once, _ABREAST * family.at_once))
+
+
+def _is_known(known: KnownBranches, branch: Branch) -> bool:
     """Return whether all of a branch, as far as some of its points tell, is on others."""
     sampled = np.unique(np.linspace(0, len(branch.value) - 1, _LOOKED_AT).round().astype(int)).tolist()
-    return all(is_on_branch(family, known, branch.points[i], float(branch.value[i])) for i in sampled)
+    return all(known.has(branch.points[i], float(branch.value[i])) for i in sampled)
 
 
 def _add_branches(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jaxnh.orbits.continuation.arclength import Family, PathVector, length
 from jaxnh.orbits.continuation.branches import Branch
@@ -13,29 +13,88 @@ from jaxnh.orbits.continuation.branches import Branch
 SAME = 1e-4
 """Lengths: cubics between points are nearer to the branch than this, and other branches are further, mostly."""
 _HALVINGS = 40
+_REACH = 2.0  # chords: a cubic goes no further than 1.3 from its beginning
+
+
+class KnownBranches:
+    """Branches of one period, point after point in one table: an orbit is compared with all of them at once.
+
+    Args:
+        family: the map.
+        branches: those that are known to begin with; of other periods they do not count.
+        period: points of an orbit.
+    """
+
+    def __init__(self, family: Family, branches: Sequence[Branch], period: int) -> None:
+        self._family, self._period, self._count = family, period, 0
+        self._value, self._rate = np.zeros((2, 0))
+        self._points, self._way = np.zeros((2, 0, period, len(family.size)))
+        self._begins = np.zeros(0, bool)
+        for branch in branches:
+            self.add(branch)
+
+    def add(self, branch: Branch) -> None:
+        """Have one branch more."""
+        if branch.period != self._period:
+            return
+        begun, more = self._count, len(branch.value)
+        self._count += more
+        begins = np.arange(more) == 0
+        columns = (branch.value, branch.way.value, branch.points, branch.way.points, begins)
+        tables = (self._value, self._rate, self._points, self._way, self._begins)
+        tables = [_with_room(table, self._count) for table in tables]
+        for table, column in zip(tables, columns, strict=True):
+            table[begun : self._count] = column
+        self._value, self._rate, self._points, self._way, self._begins = tables
+
+    def has(self, points: Float[np.ndarray, "n d"], value: float, near: float = SAME) -> bool:
+        """Return whether an orbit at a parameter value is on one of them, whichever of its points comes first."""
+        first, ends = self._passing(value)
+        if len(first):
+            chord = length(
+                self._family, PathVector(*(part[first + 1] - part[first] for part in (self._points, self._value)))
+            )
+            first = first[_apart(self._family, self._points[first], points) <= _REACH * chord + near]
+        there = self._orbits(first, ends, value)
+        return bool(len(there) and _apart(self._family, there, points).min() <= near)
+
+    def orbits_at(self, value: float) -> Float[np.ndarray, "some n d"]:
+        """Their orbits at a value of the parameter, nearly; where one turns, perhaps two."""
+        return self._orbits(*self._passing(value), value)
+
+    def _passing(self, value: float) -> tuple[Int[np.ndarray, " some"], Int[np.ndarray, " ends"]]:
+        """Points between which and the next branches may pass a value, and ends of branches that are at it."""
+        count = self._count
+        above, rate, begins = self._value[:count] - value, self._rate[:count], self._begins[:count]
+        passes = (above[:-1] <= 0.0) != (above[1:] <= 0.0)
+        turns = (rate[:-1] < 0.0) != (rate[1:] < 0.0)
+        last = np.append(begins[1:], True)
+        return np.flatnonzero((passes | turns) & ~begins[1:]), np.flatnonzero((begins | last[:count]) & (above == 0.0))
+
+    def _orbits(
+        self, first: Int[np.ndarray, " some"], ends: Int[np.ndarray, " ends"], value: float
+    ) -> Float[np.ndarray, "more n d"]:
+        pairs = np.stack([first, first + 1])
+        between = _on_cubics(
+            self._family,
+            self._points[pairs],
+            self._value[pairs],
+            PathVector(self._way[pairs], self._rate[pairs]),
+            value,
+        )
+        return np.concatenate([self._points[ends], between])
 
 
 def is_on_branch(
     family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float, near: float = SAME
 ) -> bool:
     """Return whether an orbit at a parameter value is on one of the branches, whichever of its points comes first."""
-    there = orbits_at(family, [branch for branch in branches if branch.period == len(points)], value)
-    return bool(len(there) and _apart(family, there, points).min() <= near)
+    return KnownBranches(family, branches, len(points)).has(points, value, near)
 
 
 def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float[np.ndarray, "some n d"]:
     """The orbits of branches of one period at a value of the parameter, nearly; where one turns, perhaps two."""
-    candidates, stretches = list[np.ndarray](), list[tuple[Branch, int]]()
-    for branch in branches:
-        above, rate = branch.value - value, branch.way.value
-        passes = (above[:-1] <= 0.0) != (above[1:] <= 0.0)
-        turns = (rate[:-1] < 0.0) != (rate[1:] < 0.0)
-        stretches += [(branch, i) for i in np.flatnonzero(passes | turns).tolist()]
-        # where it begins or ends at the value and lies below it
-        candidates += [branch.points[end][None] for end in (0, -1) if above[end] == 0.0]
-    if stretches:
-        candidates.append(_on_cubics(family, stretches, value))
-    return np.concatenate(candidates) if candidates else np.zeros((0, 0, len(family.size)))
+    return KnownBranches(family, branches, branches[0].period).orbits_at(value)
 
 
 def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], near: float) -> bool:
@@ -43,14 +102,25 @@ def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.nd
     return len(one) == len(other) and bool(_apart(family, one[None], other)[0] <= near)
 
 
-def _on_cubics(family: Family, stretches: Sequence[tuple[Branch, int]], value: float) -> Float[np.ndarray, "some n d"]:
-    """On cubics between a point of a branch and its next the orbits at a value that they pass there."""
-    points, values, rates, ways = (
-        np.stack([leaf(branch)[i : i + 2] for branch, i in stretches], axis=1)
-        for leaf in (lambda b: b.points, lambda b: b.value, lambda b: b.way.value, lambda b: b.way.points)
-    )
+def _with_room(table: np.ndarray, count: int) -> np.ndarray:
+    """The table, or a copy of it of twice the length where it has no room for so many rows."""
+    if count <= len(table):
+        return table
+    larger = np.zeros((2 * count, *table.shape[1:]), table.dtype)
+    larger[: len(table)] = table
+    return larger
+
+
+def _on_cubics(
+    family: Family,
+    points: Float[np.ndarray, "2 some n d"],
+    values: Float[np.ndarray, "2 some"],
+    ways: PathVector,
+    value: float,
+) -> Float[np.ndarray, "more n d"]:
+    """On cubics between points of branches and their next the orbits at a value that they pass there."""
     size = length(family, PathVector(points[1] - points[0], values[1] - values[0]))
-    rates, ways = size * rates, size[:, None, None] * ways
+    rates, slopes = size * ways.value, size[:, None, None] * ways.points
 
     def rise(s: np.ndarray) -> np.ndarray:
         left = 1.0 - s
@@ -65,7 +135,7 @@ def _on_cubics(family: Family, stretches: Sequence[tuple[Branch, int]], value: f
     orbits = list[np.ndarray]()
     for low, high in ((zero, turn), (turn, one)):
         passes = (above(low) <= 0.0) != (above(high) <= 0.0)
-        orbits.append(_cubic(_zeros(above, low, high)[:, None, None], points, ways)[passes])
+        orbits.append(_cubic(_zeros(above, low, high)[:, None, None], points, slopes)[passes])
     return np.concatenate(orbits)
 
 

@@ -15,7 +15,7 @@ from jaxnh.analyses.periodic.close_returns import WINDOW, nearest_returns, stret
 from jaxnh.analyses.periodic.location import period_map
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.random_starts import Box, random_start_batch
-from jaxnh.analyses.section_points import points_after
+from jaxnh.analyses.section_points import at_rest, points_after
 from jaxnh.maps.iterate import section_map
 from jaxnh.orbits.recognition import equal_cycles, primitive_period
 from jaxnh.orbits.shooting import orbits_from_afar
@@ -62,6 +62,8 @@ def random_wave(
         orbit = orbits_from_afar(period, points, values[lane], size, wrap)
         near = np.max(np.abs(orbit.points) / size, axis=(1, 2)) < _FARTHEST
         good = orbit.converged & near & (primitive_period(orbit.points, size, wrap) == n)
+        if n == 1:
+            good &= ~at_rest(many.take(lane % many.count), lanes, orbit.points[:, 0])
         for value in np.unique(values[lane[good]]).tolist():
             here = orbit.points[good & (values[lane] == value)]
             first = equal_cycles(np.zeros(len(here), int), here, size, wrap) == np.arange(len(here))

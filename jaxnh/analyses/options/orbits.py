@@ -135,6 +135,10 @@ class CurvesOptions(Continuation):
     minimum: dict[str, float] | None = Field(
         default=None, description="Observables whose least value along a cycle is one given, each with a curve"
     )
+    amplitude: dict[str, float] | None = Field(
+        default=None,
+        description="Observables whose largest less least value along a cycle is one given, each with a curve",
+    )
     grazing: Extra = Field(
         default=None, description="Whether cycles that touch a wall of a jump or the surface of a switch are followed"
     )
@@ -142,7 +146,7 @@ class CurvesOptions(Continuation):
     @property
     def conditional(self) -> bool:
         """Tell whether cycles that keep a condition are followed."""
-        return bool(self.duration or self.maximum or self.minimum or self.grazing)
+        return any((self.duration, self.maximum, self.minimum, self.amplitude, self.grazing))
 
     @model_validator(mode="after")
     def _check(self) -> CurvesOptions:
@@ -152,7 +156,9 @@ class CurvesOptions(Continuation):
         if not (self.max_period or self.equilibria):
             raise rule("without periodic orbits there are curves of equilibria alone: give equilibria", "max_period")
         if self.bifurcations is False and not (self.conditional or self.equilibria):
-            raise rule("then nothing is left to follow: give duration, maximum, minimum or grazing", "bifurcations")
+            raise rule(
+                "then nothing is left to follow: give duration, maximum, minimum, amplitude or grazing", "bifurcations"
+            )
         return self
 
 

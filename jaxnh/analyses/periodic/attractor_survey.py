@@ -25,7 +25,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     orbits,
     section_distance,
 )
-from jaxnh.analyses.section_points import points_and_end, states_at
+from jaxnh.analyses.section_points import at_rest, points_and_end, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
@@ -131,6 +131,14 @@ def _timings(transient: int, limit: int) -> list[Timing]:
     if (early := early_timing(transient, limit)) is None:
         return [Timing(transient, limit)]
     return [early, Timing(transient - early.periods, limit)]
+
+
+def periods_in_motion(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> Int[np.ndarray, " lanes"]:
+    """Return the periods of lanes; 0 where one has failed, or has come to rest on a section through an equilibrium."""
+    period = np.where(survey.failed, 0, survey.period)
+    if period.any():
+        period[at_rest(batch, lanes, np.where(period[:, None] > 0, survey.u, np.nan))] = 0
+    return period
 
 
 def early_timing(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:

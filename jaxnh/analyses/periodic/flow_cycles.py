@@ -31,7 +31,7 @@ _LEVELS = 4
 _TILE = 8
 _LOOKED_AT = 8  # places of an interval where the sign of the height is looked at
 _ROUNDING = 1e-16  # of the duration
-_POINTS, _FEW = 256, 8  # of paths and of equilibria, a tile
+_POINTS, _FEW = 512, 8  # of paths and of equilibria, a tile
 
 
 def no_collocation(flow: Flow) -> str:
@@ -71,7 +71,8 @@ def flow_problem(
         own = values.T[int(timed) :]
         p = {key: np.full(len(y), leaf[0]) for key, leaf in batch.p.items()} | dict(zip(names, own, strict=True))
         t, tile = t + values[:, 0] if timed else t, _POINTS if len(y) > _FEW else _FEW
-        return FieldValues(*map(np.asarray, lanes(rates, (batch.flow,), (y, t, p), tile=tile, static=(names,))))
+        known = lanes(rates, (batch.flow,), (y, t, p), tile=tile, static=(names,), spread=False)
+        return FieldValues(*map(np.asarray, known))
 
     return Problem(field, size, widths, not batch.flow.autonomous)
 
@@ -181,27 +182,31 @@ def _through_periods(
     return np.concatenate(path)
 
 
+def section_normal(section: Section) -> Float[np.ndarray, " d"]:
+    """Weights of the coordinates in the height above the value of a section."""
+    weights = np.eye(section.flow.chart.dimension)[section.number]
+    if section.normal is not None:
+        weights[: len(section.normal)] = section.normal
+    return weights
+
+
 def passages(section: Section, path: PiecewisePath) -> Float[np.ndarray, " k"]:
     """Places of a path where it passes a section in its direction."""
     shares = np.arange(_LOOKED_AT) / _LOOKED_AT
     places = np.append((path.mesh[0, :-1, None] + path.steps[0][:, None] * shares).ravel(), 1.0)
-    heights = _heights(section, path, places)
+    heights = section_heights(section, values_at(path, places[None])[0])
     up, down = (heights[:-1] <= 0.0) & (heights[1:] > 0.0), (heights[:-1] >= 0.0) & (heights[1:] < 0.0)
     wanted = {"up": up, "down": down, "both": up | down}[section.direction]
     jumps = np.abs(np.diff(heights)) > np.pi if section.flow.chart.angles[section.number] else np.zeros(len(up), bool)
     ends = zip(places[:-1][wanted & ~jumps], places[1:][wanted & ~jumps], strict=True)
 
     def height(place: float) -> float:
-        return float(_heights(section, path, np.array([place]))[0])
+        return float(section_heights(section, values_at(path, np.array([[place]]))[0])[0])
 
     return np.array([brentq(height, low, high, xtol=_ROUNDING) for low, high in ends])
 
 
-def _heights(section: Section, path: PiecewisePath, places: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Heights of a path above the value of the section, whichever way it is passed."""
-    states = values_at(path, places[None])[0]
-    weights = np.eye(states.shape[1])[section.number]
-    if section.normal is not None:
-        weights[: len(section.normal)] = section.normal
-    heights = states @ weights - section.value
+def section_heights(section: Section, states: Float[np.ndarray, "k d"]) -> Float[np.ndarray, " k"]:
+    """Heights of states above the value of the section, whichever way it is passed."""
+    heights = states @ section_normal(section) - section.value
     return wrap_angle(heights) if section.flow.chart.angles[section.number] else heights

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, OptionError, Setting, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
@@ -20,6 +20,8 @@ from jaxnh.analyses.periodic.flow_cycles import (
     no_collocation,
     passages,
     path_lift,
+    section_heights,
+    section_normal,
 )
 from jaxnh.maps.section import Section
 from jaxnh.orbits.collocation.adjoint import phase_response
@@ -138,16 +140,13 @@ def _of_lane(
     )
     if not fine.converged[0]:
         return None
-    first, second = (phase_response(problem, each.solution, lift) for each in (coarse, fine))
     place = np.searchsorted(begun.path.mesh[0], np.arange(count) / count)
-    (state, more), (z, finer) = (
-        (one[0][place], other[0][2 * place])
-        for one, other in ((begun.path.ends, fine.solution.path.ends), (first.z, second.z))
-    )
+    state, z, _ = _since_section(problem, begun, lift, section, place)
+    more, finer, spread = _since_section(problem, fine.solution, lift, section, 2 * place)
     floor = _EPS * fine.solution.path.stages.shape[1]  # of each interval one rounding, that the orbit carries on
     rounding = (fine.rounding[0] + floor) * problem.size
     largest = np.abs(finer).max(axis=0)
-    errors = np.abs(finer - z) + (second.spread[0] + floor) * largest
+    errors = np.abs(finer - z) + (spread + floor) * largest
     longer = abs(fine.solution.duration[0] - begun.duration[0])
     last = (fine.extra_rounding[0, 0] + floor) * begun.duration[0]
     states = batch.flow.chart.wrap(more)
@@ -169,6 +168,26 @@ def _from_section(
         solved = correct(problem, cycle, closure(problem, lift), hold_parameters)
         cycle = solved.solution
     return solved
+
+
+def _since_section(
+    problem: Problem,
+    cycle: BoundarySolution,
+    lift: Float[np.ndarray, "1 d"],
+    section: Section,
+    place: Int[np.ndarray, " phases"],
+) -> tuple[Float[np.ndarray, "phases d"], Float[np.ndarray, "phases d"], float]:
+    """States and responses at ends of intervals, as long after the section as these are after the first; the spread.
+
+    Newton leaves cycles shifted along themselves by what their polynomials are off, a small part of a step: states go
+    on by their rates f, and responses by −Jᵀz.
+    """
+    known, states = phase_response(problem, cycle, lift), cycle.path.ends[0][place]
+    values = np.repeat(cycle.values, len(place), axis=0)
+    at = problem.field(states, np.zeros(len(place)), values)
+    rate, normal, z = np.asarray(at.rate), section_normal(section), known.z[0][place]
+    late = -section_heights(section, states[:1])[0] / (rate[0] @ normal)
+    return states + late * rate, z - late * np.einsum("kij,ki->kj", at.jacobian, z), float(known.spread[0])
 
 
 def _mesh_with_phases(places: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, " k"]:

@@ -24,7 +24,7 @@ from jaxnh.analyses.continuation.known_branches import orbits_at
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.crises.band_phase import embed_points
 from jaxnh.analyses.options.orbits import WindowsOptions
-from jaxnh.analyses.periodic.attractor_survey import survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, survey_from_start
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined_maps, walk
 from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, bifurcation_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import absent_words, sensitivity_variables
@@ -77,7 +77,7 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     batch = batch.take(np.unique(batch.first_axis.values, return_index=True)[1])
     survey = survey_from_start(batch, lanes, _DOUBLED * options.max_period, "windows", options.transient)
     size = np.median(survey.size[~survey.failed], axis=0) if not survey.failed.all() else survey.size[0]
-    line = PeriodScan(batch.first_axis.values, np.where(survey.failed, 0, survey.period), survey.u)
+    line = PeriodScan(batch.first_axis.values, periods_in_motion(batch, lanes, survey), survey.u)
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"windows: {label}", 0)

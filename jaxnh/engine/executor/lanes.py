@@ -144,6 +144,7 @@ class LaneExecutor:
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
+        spread: bool = True,
     ) -> Any:
         """function(*shared, *lane, *static) for every lane.
 
@@ -155,12 +156,13 @@ class LaneExecutor:
             periods: periods that a lane costs, for progress and accounts.
             tile: lanes a tile where a program has few lanes but much to do in each.
             static: further hashable arguments, part of the program.
+            spread: whether all devices may take part: what is short and called often takes less time on one.
 
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
         link = Link(function, shared, static, periods)
-        return self._results((link,), lanes, tile)[0]
+        return self._results((link,), lanes, tile, spread)[0]
 
     def chain(self, links: Sequence[Link], lanes: tuple[Any, ...], *, tile: int | None = None) -> list[Any]:
         """Functions one after the other, each of what the one before leaves on the device.
@@ -260,16 +262,18 @@ class LaneExecutor:
         call = self._call((Link(function, shared, static),), lanes, tile)._replace(spread=self._spread)
         return self._on_devices.text(call), call.tile
 
-    def _call(self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None) -> Call:
+    def _call(self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None, spread: bool = True) -> Call:
         """A call in tiles of the size that all links allow."""
         count = count_of(lanes)
         size = self._tile([part for link in links for part in link.shared], count, tile)
-        spread = self._spread and (count > size or len(self.devices) <= _ALWAYS_SPREAD)
+        spread &= self._spread and (count > size or len(self.devices) <= _ALWAYS_SPREAD)
         return Call(links, jax.tree.map(np.asarray, lanes), size, spread)
 
-    def _results(self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None) -> list[Any]:
+    def _results(
+        self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None, spread: bool = True
+    ) -> list[Any]:
         """What comes to the host of each link, of lanes of one value of each family or of many."""
-        call = self._call(links, lanes, tile)
+        call = self._call(links, lanes, tile, spread)
         families = [part for link in links for part in link.shared if isinstance(part, ParameterFamily)]
         if not families:
             return self._run(call)

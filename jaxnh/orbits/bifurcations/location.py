@@ -28,6 +28,7 @@ _FIT = np.linalg.pinv(np.vander(NODES, _DEGREE + 1, increasing=True))
 _THROUGH = np.linalg.inv(np.vander(NODES, increasing=True))
 _NARROWER = 64  # from round to round
 _ROUNDS = 4
+_CLOSER = 3  # times that a bracket in which no polynomial fits is narrowed to where the test function changes sign
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
 _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
@@ -123,8 +124,9 @@ def locate(
     count = len(stretch.kind)
     share, none = np.full(count, 0.5) if near is None else near.share.copy(), np.full(count, np.nan)
     value, error, bend, exists = none, np.full(count, np.inf), np.zeros(count), np.zeros(count, bool)
+    rounds, begun = np.zeros(count, int), np.full(count, half)
     along, widths, open_ = _cubics(stretch) if near is None else near.nodes, np.full(count, half), np.arange(count)
-    for number in range(_ROUNDS):
+    for number in range(_ROUNDS + _CLOSER):
         part, of_part = (jax.tree.map(lambda leaf, o=open_: leaf[o], tree) for tree in (stretch, along))
         shares = share[open_, None] + widths[open_, None] * NODES
         nodes = _orbits(family, part, shares, of_part)
@@ -132,16 +134,23 @@ def locate(
         tests = _own_test(family, nodes, np.repeat(part.kind, len(NODES))).reshape(shares.shape)
         root, blur, at_root, off, turn = roots(tests, values)
         blur = blur * widths[open_]
-        good = nodes.converged.reshape(shares.shape).all(axis=1)
+        whole = nodes.converged.reshape(shares.shape).all(axis=1)
         if near is None and not number:
-            along.points[good], along.value[good] = nodes.points.reshape(along.points.shape)[good], values[good]
+            along.points[whole], along.value[whole] = nodes.points.reshape(along.points.shape)[whole], values[whole]
         with np.errstate(invalid="ignore"):
-            good &= np.isfinite(root) & (blur < _NOISE * half) & (off < 0.25 * error[open_])
+            good = whole & np.isfinite(root) & (blur < _NOISE * begun[open_]) & (off < 0.25 * error[open_])
+        closer, k = _around_change(tests, whole & ~good & ~exists[open_])
+        there = open_[closer]
+        share[there] += 0.5 * widths[there] * (NODES[k] + NODES[k + 1])
+        widths[there] *= 0.5 * np.abs(NODES[k + 1] - NODES[k])
+        begun[there] = widths[there]
         open_, width, root = open_[good], widths[open_][good], root[good]
         share[open_] += width * root
         value[open_], error[open_], exists[open_] = at_root[good], off[good], True
         bend[open_] = turn[good] / family.width / (length(family, part.chord)[good] * width) ** 2
         widths[open_] /= np.where(np.abs(root) <= 1.0, _NARROWER, 1.0)
+        rounds[open_] += 1
+        open_ = np.sort(np.concatenate([open_[rounds[open_] < _ROUNDS], there]))
         if not len(open_):
             break
     orbits = _at_roots(family, stretch, share, along)
@@ -149,6 +158,15 @@ def locate(
     exists &= orbits.converged
     orbits = orbits._replace(value=value, way=ways[0], other_way=ways[1])
     return BifurcationPoints(share, value, error, bend, orbits, exists, along)
+
+
+def _around_change(
+    tests: Float[np.ndarray, "some nodes"], asked: Bool[np.ndarray, " some"]
+) -> tuple[Int[np.ndarray, " changed"], Int[np.ndarray, " changed"]]:
+    """Brackets among those asked for with one change of sign between nodes, and the number of the node before it."""
+    changes = np.diff(np.signbit(tests), axis=1)
+    chosen = np.flatnonzero(asked & (changes.sum(axis=1) == 1))
+    return chosen, np.argmax(changes[chosen], axis=1)
 
 
 def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some"]:

@@ -13,13 +13,21 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnh.orbits.collocation.cycle_equations import CollocationEquations, CycleConditions, CyclePoint, Ends
-from jaxnh.orbits.collocation.cycles import cycle_multipliers
-from jaxnh.orbits.collocation.equations import BoundarySolution, PointCondition, Problem
-from jaxnh.orbits.collocation.paths import adapted_mesh, halved, on_mesh, rotated
+from jaxnh.orbits.collocation.equations import (
+    BoundarySolution,
+    PointCondition,
+    Problem,
+    Variation,
+    combination,
+    state_gradient,
+)
+from jaxnh.orbits.collocation.paths import adapted_mesh, halved, on_mesh, rotated, values_at
 from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.paths import BEYOND
 
+_ROUNDS, _PLACES = 2, 9  # to find a least value: places between samples of a cycle, and again between two of these
+_SAME_NODE = 1e-6  # of the duration: a place this near an end of an interval is one
 _BEYOND = 1e-4  # of a function's range along a cycle, that the polynomials of intervals are known to
 
 
@@ -53,14 +61,18 @@ class DurationCondition(NamedTuple):
 
     def at(self, solution: BoundarySolution) -> list[PointCondition]:
         """The logarithm of the duration is that of the time."""
-        (lanes, _, d), extra = solution.path.ends.shape, 1 + solution.values.shape[1]
-        by_extra = np.broadcast_to(np.eye(extra)[0], (lanes, extra))
-        missing = np.log(solution.duration / self.duration)
-        return [PointCondition(np.zeros((lanes, d)), by_extra, missing)]
+        path, extra = solution.path, np.zeros((len(solution.duration), 1 + solution.values.shape[1]))
+        extra[:, 0] = 1.0
+        gradient = Variation(np.zeros_like(path.ends), np.zeros_like(path.stages), extra)
+        return [PointCondition(gradient, np.log(solution.duration / self.duration))]
 
     def endings(self, solution: BoundarySolution) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
         """None."""
         return {}
+
+    def nodes(self, solution: BoundarySolution) -> Float[np.ndarray, " 0"]:
+        """None."""
+        return np.zeros(0)
 
     def excess(self, solution: BoundarySolution) -> float:
         """The distance of a cycle, one lane, from the condition: the sign changes where a branch meets it."""
@@ -102,20 +114,24 @@ class ExtremumCondition:
         first = known.by_state * problem.size
         extra = np.concatenate([np.zeros((lanes, 2, 1)), known.by_values * problem.widths], axis=2)
         missing = known.value - np.array([self._level, 0.0])
-        conditions = [PointCondition(first[:, k], extra[:, k], missing[:, k]) for k in range(2)]
+        rows = [(first[:, k], extra[:, k], missing[:, k]) for k in range(2)]
         if problem.clock:
             held = np.broadcast_to(np.eye(extra.shape[2])[0], (lanes, extra.shape[2]))
-            conditions.append(PointCondition(np.zeros_like(first[:, 0]), held, np.zeros(lanes)))
-        return conditions
+            rows.append((np.zeros_like(first[:, 0]), held, np.zeros(lanes)))
+        return [PointCondition(state_gradient(path, np.zeros(lanes), *by), missing) for *by, missing in rows]
 
     def endings(self, solution: BoundarySolution) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
         """Cycles that go beyond the level elsewhere, or beyond what guards them."""
         (states, shares), beyond = _sampled(solution), np.zeros(len(solution.duration), bool)
         with np.errstate(invalid="ignore"):
-            for height, level, sign in self._watched:
+            for height, level, sign in self._watched(solution):
                 values = sign * (self._values(height, solution, states, shares) - level)
                 beyond |= values.max(axis=1) > _BEYOND * np.ptp(values, axis=1)
         return {BEYOND: beyond}
+
+    def nodes(self, solution: BoundarySolution) -> Float[np.ndarray, " k"]:
+        """None: cycles begin at the extremum."""
+        return np.zeros(0)
 
     def excess(self, solution: BoundarySolution) -> float:
         """The height of a cycle, one lane, above the level; not a number where it is beyond what guards it."""
@@ -136,17 +152,78 @@ class ExtremumCondition:
             parameters[0, 0] += share * solution.duration[0]
         return solution._replace(path=rotated(solution.path, share, mesh), values=parameters)
 
-    @property
-    def _watched(self) -> list[tuple[Height, float, float]]:
+    def _watched(self, solution: BoundarySolution) -> list[tuple[Height, Float[np.ndarray, "lanes 1"] | float, float]]:
         """Functions, the levels that they stay on one side of, and the signs of what is beyond."""
         return [(self._height, self._level, self._sign), *((height, 0.0, sign) for height, sign in self._guards)]
 
     def _values(
-        self, height: Height, solution: BoundarySolution, states: np.ndarray, shares: np.ndarray
+        self,
+        height: Height,
+        solution: BoundarySolution,
+        states: Float[np.ndarray, "lanes k d"],
+        shares: Float[np.ndarray, "lanes k"],
+        which: int = 0,
     ) -> Float[np.ndarray, "lanes k"]:
+        """A function at states along cycles, or its rate."""
         (lanes, k, d), times = states.shape, solution.duration[:, None] * shares
         values = height(states.reshape(-1, d), times.ravel(), np.repeat(solution.values, k, axis=0)).value
-        return np.asarray(values)[:, 0].reshape(lanes, k)
+        return np.asarray(values)[:, which].reshape(lanes, k)
+
+
+class AmplitudeCondition(ExtremumCondition):
+    """Cycles along which the largest value of a function less its least one is a level; they begin at the largest.
+
+    The least value is that of the polynomial of an interval: between the ends of intervals it is of a lower order, so
+    that meshes for the last digits have one of them there (`nodes`).
+    """
+
+    def __init__(
+        self, problem: Problem, height: Height, level: float, guards: Sequence[tuple[Height, float]] = ()
+    ) -> None:
+        super().__init__(problem, height, level, 1.0, guards)
+
+    def at(self, solution: BoundarySolution) -> list[PointCondition]:
+        """As of the largest value, which is the level above the least one."""
+        [first, *others] = super().at(solution)
+        places = self._least(solution)
+        states = values_at(solution.path, places)[:, 0]
+        known = self._height(states, solution.duration * places[:, 0], solution.values)
+        by_extra = np.concatenate([np.zeros((len(places), 1)), known.by_values[:, 0] * self._problem.widths], axis=1)
+        least = state_gradient(solution.path, places[:, 0], known.by_state[:, 0] * self._problem.size, by_extra)
+        gradient = combination([(1.0, first.gradient), (-1.0, least)])
+        return [PointCondition(gradient, first.missing - known.value[:, 0]), *others]
+
+    def nodes(self, solution: BoundarySolution) -> Float[np.ndarray, " 1"]:
+        """The place of the least value."""
+        return self._least(solution)[0]
+
+    def excess(self, solution: BoundarySolution) -> float:
+        """The amplitude of a cycle, one lane, above the level; not a number where it is beyond what guards it."""
+        values = self._values(self._height, solution, *_sampled(solution))
+        return super().excess(solution) - float(values.min())
+
+    def _watched(self, solution: BoundarySolution) -> list[tuple[Height, Float[np.ndarray, "lanes 1"] | float, float]]:
+        """The function, which stays below its first value, and the guards."""
+        first = self._values(self._height, solution, solution.path.ends[:, :1], np.zeros((len(solution.duration), 1)))
+        [(height, _, sign), *guards] = super()._watched(solution)
+        return [(height, first, sign), *guards]
+
+    def _least(self, solution: BoundarySolution) -> Float[np.ndarray, "lanes 1"]:
+        """Places of least values, where the function's rate changes its sign between samples next to the least one."""
+        states, shares = _sampled(solution)
+        row, order = np.arange(len(shares)), np.argsort(shares, axis=1)
+        states, shares = states[row[:, None], order], shares[row[:, None], order]
+        number = np.argmin(self._values(self._height, solution, states, shares), axis=1)
+        shares = np.concatenate([np.zeros((len(row), 1)), shares], axis=1)  # numbers are those of the sample before
+        low, high = shares[row, number], shares[row, np.minimum(number + 2, shares.shape[1] - 1)]
+        before, after = np.full((2, len(row)), np.nan)
+        for _ in range(_ROUNDS):
+            places = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _PLACES)
+            rates = self._values(self._height, solution, values_at(solution.path, places), places, 1)
+            k = np.clip(np.argmax(rates > 0.0, axis=1), 1, _PLACES - 1)
+            low, high, before, after = places[row, k - 1], places[row, k], rates[row, k - 1], rates[row, k]
+        share = np.where(before * after < 0.0, before / np.where(before == after, 1.0, before - after), 0.5)
+        return (low + share * (high - low))[:, None]
 
 
 class RefinedPoints(NamedTuple):
@@ -208,20 +285,33 @@ def refined_points(
 def _refined(
     problem: Problem, point: CyclePoint, lift: Float[np.ndarray, " d"], conditions: CycleConditions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    path, both = point.solution.path, point.solution.values[0, -2:]
-    finer = point.solution._replace(path=on_mesh(path, halved(path.mesh)))
-    equations = CollocationEquations(problem, finer, lift, conditions=conditions)
-    solved = core.correct(equations, *equations.of_point(point), FINE)
-    if not solved.converged[0]:
+    mesh = point.solution.path.mesh
+    more = [place for place in conditions.nodes(point.solution) if np.abs(mesh - place).min() > _SAME_NODE]
+    if more:
+        mesh = np.sort(np.append(mesh[0], more))[None]
+        point = _solved_on(problem, point, lift, conditions, mesh) or point
+    both, finer = point.solution.values[0, -2:], _solved_on(problem, point, lift, conditions, halved(mesh))
+    if finer is None:
         none = np.full(2, np.nan)
         return none, none, np.array(np.nan), np.full_like(point.multipliers, np.nan)
-    solution, d = equations.solution(solved.z), len(problem.size)
-    count = solution.path.stages.shape[1]
-    blocks = solved.blocks[:, :-1].reshape(1, count, d, d)
-    multipliers, _ = cycle_multipliers(problem, solution, blocks, solved.blocks[:, -1])
-    values = solution.values[0, -2:]
+    values, count = finer.solution.values[0, -2:], finer.solution.path.stages.shape[1]
     rounding = count * np.finfo(float).eps * problem.widths[-2:]
-    return values, np.abs(values - both) + np.spacing(np.abs(values)) + rounding, solution.duration[0], multipliers[0]
+    errors = np.abs(values - both) + np.spacing(np.abs(values)) + rounding
+    return values, errors, finer.solution.duration[0], finer.multipliers
+
+
+def _solved_on(
+    problem: Problem,
+    point: CyclePoint,
+    lift: Float[np.ndarray, " d"],
+    conditions: CycleConditions,
+    mesh: Float[np.ndarray, "1 n+1"],
+) -> CyclePoint | None:
+    """A point of a curve on another mesh; None where Newton does not confirm it."""
+    near = point.solution._replace(path=on_mesh(point.solution.path, mesh))
+    equations = CollocationEquations(problem, near, lift, conditions=conditions)
+    solved = core.correct(equations, *equations.of_point(point), FINE)
+    return equations.points(solved)[0] if solved.converged[0] else None
 
 
 def _sampled(solution: BoundarySolution) -> tuple[Float[np.ndarray, "lanes k d"], Float[np.ndarray, "lanes k"]]:

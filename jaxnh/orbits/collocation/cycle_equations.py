@@ -21,6 +21,7 @@ from jaxnh.orbits.collocation.equations import (
     PointCondition,
     Problem,
     Variation,
+    bordered_sign,
     combination,
     direction_of,
     inner,
@@ -31,7 +32,7 @@ from jaxnh.orbits.collocation.equations import (
 from jaxnh.orbits.collocation.newton import take
 from jaxnh.orbits.collocation.paths import PiecewisePath, adapted_mesh, interpolation_errors, on_mesh, values_at
 from jaxnh.orbits.continuation import core
-from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, Solution
+from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, LinearSolution, Solution
 from jaxnh.orbits.continuation.paths import CLOSED, COLLAPSED, UNBOUNDED
 
 _RESOLVED = 1e-4  # error of a multiplier, relative to it or absolute where it is small, at which meshes are fine enough
@@ -101,6 +102,10 @@ class CycleConditions(Protocol):
 
     def endings(self, solution: BoundarySolution, /) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
         """Cycles beyond the end of a curve, by number in `paths.ENDS`."""
+        ...
+
+    def nodes(self, solution: BoundarySolution, /) -> Float[np.ndarray, " k"]:
+        """Shares of the duration after the first state, of one lane, whose states the conditions are on too."""
         ...
 
 
@@ -201,14 +206,20 @@ class CollocationEquations(EquationsOfPaths):
             line = self._linear(solution)
             rows, gone = self._rows(solution, z)
             way = direction_of(solution.path, line, rows)
-            step = step_of(line, [*rows, partial(inner, solution.path, way)], np.stack([*gone, 0.0 * gone[0]], axis=1))
+            rows = [*rows, partial(inner, solution.path, way)]
+            step = step_of(line, rows, np.stack([*gone, 0.0 * gone[0]], axis=1))
         except np.linalg.LinAlgError:
             count = self._stages[0] * self._stages[2] ** 2 + 1
-            shapes = ((1 + len(self._problem.widths),), (count,), (2, z.shape[1]))
+            shapes = ((1 + len(self._problem.widths),), (count,), (3, z.shape[1]))
             return Evaluation(*(np.full((lanes, *shape), np.nan) for shape in shapes))
         kept = np.concatenate([line.blocks.reshape(lanes, -1), line.divergence[:, None]], axis=1)
-        slopes = np.stack([self.direction(step), self.direction(way)], axis=1)
+        sign = np.broadcast_to(bordered_sign(line, rows)[:, None], z.shape)
+        slopes = np.stack([self.direction(step), self.direction(way), sign], axis=1)
         return Evaluation(np.stack([line.residual, *gone], axis=1), kept, slopes)
+
+    def solve(self, at: Evaluation, /) -> LinearSolution:
+        """The step and the direction, with the sign of the bordered determinant."""
+        return super().solve(at)._replace(determinant=at.slopes[:, 2, 0])
 
     def _rows(
         self, solution: BoundarySolution, z: Float[np.ndarray, "lanes N"]
@@ -222,8 +233,7 @@ class CollocationEquations(EquationsOfPaths):
             rows.append(partial(inner, solution.path, phase))
             gone.append(rows[0](self.variation(z - self._near)))
         for one in () if conditions is None else conditions.at(solution):
-            size = np.sqrt(np.sum(one.first**2, axis=1) + np.sum(one.extra**2, axis=1))
-            scaled = PointCondition(one.first / size[:, None], one.extra / size[:, None], one.missing / size)
+            scaled = one.scaled()
             rows.append(scaled.change)
             gone.append(scaled.missing)
         return rows, gone

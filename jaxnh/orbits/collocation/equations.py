@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.orbits import cyclic
-from jaxnh.orbits.collocation.paths import PiecewisePath, gauss_rule
+from jaxnh.orbits.collocation.paths import PiecewisePath, gauss_rule, lagrange
 
 
 class FieldValues(NamedTuple):
@@ -111,6 +111,7 @@ class NewtonSystem(NamedTuple):
         blocks: derivative of the end of each interval by its beginning, (lanes, n, d, d).
         particular: one solution.
         null: solutions without right-hand sides, 1 + q of them.
+        bordered: the equations with what `null` are where the path begins as further rows.
         rate: dy/dτ of the path, in sizes, (lanes, n, m, d).
         divergence: integral of the field's divergence over the path, (lanes,).
         residual: largest component of the equations, in sizes, (lanes,).
@@ -119,6 +120,7 @@ class NewtonSystem(NamedTuple):
     blocks: Float[np.ndarray, "lanes n d d"]
     particular: Variation
     null: Sequence[Variation]
+    bordered: cyclic.Cyclic
     rate: Float[np.ndarray, "lanes n m d"]
     divergence: Float[np.ndarray, " lanes"]
     residual: Float[np.ndarray, " lanes"]
@@ -202,7 +204,7 @@ def linearise(problem: Problem, solution: BoundarySolution, boundary: BoundaryCo
     there = np.broadcast_to(-np.eye(d), blocks.shape)
     cycle = cyclic.eliminate(whole(blocks, boundary.last), whole(there, boundary.first))
     sides = whole(ahead - ends[..., -1], boundary.missing)
-    least, null = cyclic.solutions(cycle, sides, whole(ends[..., d : d + k], boundary.extra))
+    least, null, bordered = cyclic.solutions(cycle, sides, whole(ends[..., d : d + k], boundary.extra))
 
     def variation(y: np.ndarray, x: np.ndarray, known: float) -> Variation:
         inside = np.concatenate([y[:, :-1], np.broadcast_to(x[:, None], (lanes, n, k))], axis=2)
@@ -211,7 +213,7 @@ def linearise(problem: Problem, solution: BoundarySolution, boundary: BoundaryCo
 
     directions = [variation(*one, 0.0) for one in null]
     divergence = np.sum(path.measure * np.trace(at.jacobian, axis1=3, axis2=4), axis=(1, 2))
-    return NewtonSystem(blocks, variation(*least, 1.0), directions, at.rate, divergence, residual)
+    return NewtonSystem(blocks, variation(*least, 1.0), directions, bordered, at.rate, divergence, residual)
 
 
 def phase_condition(problem: Problem, line: NewtonSystem) -> Variation:
@@ -230,21 +232,40 @@ def fixed(line: NewtonSystem, number: int) -> Variation:
 
 
 class PointCondition(NamedTuple):
-    """A condition on cycles by the state that they begin with, the duration and the parameters, linearised.
+    """A condition on cycles by states at some of their points, the duration and the parameters, linearised.
 
     Attributes:
-        first: derivative in the first state, in sizes, (lanes, d).
-        extra: derivatives in the logarithm of the duration and the parameters, in widths, (lanes, 1 + q).
+        gradient: derivatives in the states, the logarithm of the duration and the parameters, in sizes and widths.
         missing: what is too much, (lanes,).
     """
 
-    first: Float[np.ndarray, "lanes d"]
-    extra: Float[np.ndarray, "lanes 1+q"]
+    gradient: Variation
     missing: Float[np.ndarray, " lanes"]
 
     def change(self, way: Variation) -> Float[np.ndarray, " lanes"]:
         """The derivative along a variation."""
-        return np.sum(self.first * way.ends[:, 0], axis=1) + np.sum(self.extra * way.extra, axis=1)
+        parts = zip(self.gradient, way, strict=True)
+        return sum(np.sum(one * other, axis=tuple(range(1, one.ndim))) for one, other in parts)  # pyright: ignore[reportReturnType]
+
+    def scaled(self) -> PointCondition:
+        """The same condition with a gradient of length one."""
+        size = np.sqrt(self.change(self.gradient))
+        return PointCondition(combination([(1.0 / size, self.gradient)]), self.missing / size)
+
+
+def state_gradient(
+    path: PiecewisePath,
+    place: Float[np.ndarray, " lanes"],
+    by_state: Float[np.ndarray, "lanes d"],
+    by_extra: Float[np.ndarray, "lanes 1+q"],
+) -> Variation:
+    """The gradient of a function of the state at a place in [0, 1], the duration and the parameters."""
+    ends, stages = np.zeros_like(path.ends), np.zeros_like(path.stages)
+    for lane, (mesh, at) in enumerate(zip(path.mesh, place, strict=True)):
+        k = min(int(np.searchsorted(mesh, at, side="right")) - 1, stages.shape[1] - 1)
+        shares = lagrange(stages.shape[2], (at - mesh[k]) / (mesh[k + 1] - mesh[k]))
+        ends[lane, k], stages[lane, k] = shares[0] * by_state[lane], shares[1:, None] * by_state[lane]
+    return Variation(ends, stages, by_extra)
 
 
 Functional = Callable[[Variation], Float[np.ndarray, " lanes"]]
@@ -268,10 +289,23 @@ def step_of(
     line: NewtonSystem, rows: Sequence[Functional], gone: Float[np.ndarray, "lanes k"] | float = 0.0
 ) -> Variation:
     """The step of Newton along which as many functionals as there are solutions without right-hand sides take back."""
-    matrix = np.stack([[row(one) for one in line.null] for row in rows])
     right = -np.stack([row(line.particular) for row in rows], axis=1) - gone
-    shares = np.linalg.solve(np.moveaxis(matrix, 2, 0), right[..., None])[..., 0]
+    shares = np.linalg.solve(_functional_matrix(line, rows), right[..., None])[..., 0]
     return combination([(1.0, line.particular), *((shares[:, k], one) for k, one in enumerate(line.null))])
+
+
+def bordered_sign(line: NewtonSystem, rows: Sequence[Functional]) -> Float[np.ndarray, " lanes"]:
+    """The sign of the determinant of the equations with as many functionals as there are null solutions as more rows.
+
+    Stages are eliminated: their own determinants have no real zero with an even number of Gauss points, as the
+    denominators of diagonal Padé approximants (Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3).
+    """
+    with np.errstate(over="ignore"):
+        return np.sign(cyclic.determinant(line.bordered)) * np.sign(np.linalg.det(_functional_matrix(line, rows)))
+
+
+def _functional_matrix(line: NewtonSystem, rows: Sequence[Functional]) -> Float[np.ndarray, "lanes r k"]:
+    return np.moveaxis(np.stack([[row(one) for one in line.null] for row in rows]), 2, 0)
 
 
 def direction_without(path: PiecewisePath, line: NewtonSystem, directions: Sequence[Variation]) -> Variation:
@@ -282,8 +316,7 @@ def direction_without(path: PiecewisePath, line: NewtonSystem, directions: Seque
 def direction_of(path: PiecewisePath, line: NewtonSystem, rows: Sequence[Functional]) -> Variation:
     """The direction of length one of solutions without right-hand sides along which functionals do not change."""
     gram = np.moveaxis(np.stack([[inner(path, a, b) for b in line.null] for a in line.null]), 2, 0)
-    matrix = np.moveaxis(np.stack([[row(one) for one in line.null] for row in rows]), 2, 0)
-    shares = np.linalg.svd(matrix)[2][:, -1]
+    shares = np.linalg.svd(_functional_matrix(line, rows))[2][:, -1]
     lengths = np.sqrt(np.einsum("li,lij,lj->l", shares, gram, shares))
     return combination([(shares[:, k] / lengths, one) for k, one in enumerate(line.null)])
 

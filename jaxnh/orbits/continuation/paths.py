@@ -42,7 +42,7 @@ _SHRINKAGE = 0.1  # of one that did not, at most
 _FARTHEST = 1e3  # lengths from where a curve has begun
 _WIDE = 2.0  # lengths from there, beyond which steps grow in proportion
 _LEAST_LOOP = 8  # points of a closed curve
-_CROSSING = 1 / 16  # of the largest step: over a change of the determinant's sign steps are no longer
+_CROSSING = 1 / 40  # of the largest step: over a change of the determinant's sign steps are no longer
 _LAST = 2e-3  # of the largest step: where the map has no value so far ahead, the curve ends
 _SHARE = 0.3  # of older directions along the last one that are predicted from, at least
 
