@@ -552,7 +552,12 @@ def test_sum_rule_on_a_level(name, energy):
     """
     made = jaxnh.load(
         FOLDER / f"{name}.yaml",
-        [f"sweep={{energy: {{values: [{energy}]}}}}", "section=null", "accuracy={solver: verner9, steps: 200}"],
+        [
+            f"sweep={{energy: {{values: [{energy}]}}}}",
+            "section=null",
+            "accuracy={solver: verner9, steps: 200}",
+            "analyses={portrait: {}}",
+        ],
     )
     options = jaxnh.Lyapunov(transient=8, periods=32, exponents=made.flow().exponents, method="averages")
     data = session_of(made).run(options)
