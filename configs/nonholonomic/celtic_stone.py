@@ -1,7 +1,8 @@
 """A rattleback: an elliptic paraboloid that rolls without slipping, its axes of inertia turned against its surface's.
 
-Borisov, Jalnine, Kuznetsov, Sataev and Sedova (Regul. Chaotic Dyn. 17 (2012) 512) study it over its energy and the
-angle delta. The text of the article was not at hand: these parameters are not taken from it, the angle is of a scan.
+Borisov, Jalnine, Kuznetsov, Sataev and Sedova (Regul. Chaotic Dyn. 17 (2012) 512) and Gonchenko, Gonchenko and Kazakov
+(Regul. Chaotic Dyn. 18 (2013) 521) study it over its energy and the angle delta. The texts were not at hand: sizes and
+moments are those of the second as commonly quoted, with its angle 0.485; the angle 0.75 is of a scan.
 """
 
 import jax.numpy as jnp

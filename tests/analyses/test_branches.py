@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.integrate import solve_ivp
 
 import jaxnh
 from jaxnh.analyses.continuation.branches import ANALYSIS
@@ -155,3 +156,42 @@ def test_doublings_of_roessler_on_a_section():
     for k, n in enumerate((1, 2)):
         value, error = float(found["c"][k]), float(found["c_error"][k])
         assert abs(value - doubling_of_roessler(value, n)) < min(1e-8, error + 1e-11)
+
+
+def coupled_oscillators(square=0.45, coupling=0.3):
+    """Potential x²/2 + square y²/2 + coupling x² y²/2, whose plane y = 0 has harmonic motion."""
+
+    def T(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def V(q):
+        return 0.5 * (q[0] ** 2 + square * q[1] ** 2 + coupling * q[0] ** 2 * q[1] ** 2)
+
+    def Q(q, v, t):
+        return -q[0] - coupling * q[0] * q[1] ** 2, -square * q[1] - coupling * q[0] ** 2 * q[1]
+
+    integrals = {"energy": lambda q, v, t: T(q, v, t) + V(q)}
+    return {"T": T, "Q": Q, "coordinates": ("x", "y"), "integrals": integrals}
+
+
+def test_a_branch_over_a_level():
+    """The orbit x = √(2E) sin t, y = 0 over its energy; the trace of its multipliers is that of Mathieu's equation.
+
+    The equation for y is η̈ + (square + 2E coupling sin² t) η = 0. Its solutions come from DOP853 at 1e-12.
+    """
+    session = jaxnh.Session(coupled_oscillators, start={"x_dot": 1.0}, target=1e-9).on("x", 0.0, "up")
+    box = {"y": (-0.02, 0.02), "y_dot": (-0.02, 0.02)}
+    options = jaxnh.Branches(max_period=1, n_starts=2, n_values=1, box=box, method="shooting", transient=1)
+    data = session.run(options, energy=np.linspace(0.2, 0.8, 3))
+    energies, multipliers = data["energy"].to_numpy()[0], data["multipliers"].to_numpy()[0]
+    known = np.isfinite(energies)
+    assert energies[known].min() == pytest.approx(0.2)
+    assert energies[known].max() == pytest.approx(0.8)
+    for energy, of_orbit in zip(energies[known], multipliers[known], strict=True):
+
+        def transverse(t, z, energy=energy):
+            square = 0.45 + 0.6 * energy * np.sin(t) ** 2
+            return z[2], z[3], -square * z[0], -square * z[1]
+
+        end = solve_ivp(transverse, (0.0, 2.0 * np.pi), (1.0, 0.0, 0.0, 1.0), "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        assert of_orbit[:, 0].sum() == pytest.approx(end[0] + end[3], abs=1e-6)

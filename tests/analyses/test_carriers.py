@@ -66,6 +66,18 @@ def test_a_discrete_lorenz_attractor():
     assert np.abs(np.sort(data["multipliers"].to_numpy()[0, at, :, 0]) - np.sort(exact.real)).max() < 1e-9
 
 
+def test_multipliers_that_are_zero_are_counted_out():
+    """A coordinate that each iterate puts to zero adds one, as a constraint or a level does."""
+
+    def with_zero(m2=0.815):
+        three = henon_in_space(m2)
+        return {"map": lambda y: (*three["map"](y[:3]), 0.0 * y[3]), "coordinates": (*three["coordinates"], "w")}
+
+    session = jaxnh.Session(with_zero, start={"x": 0.1, "y": 0.1})
+    data = session.run(jaxnh.Orbits(max_period=1, attractor=8192), m2=np.array([0.815]))
+    assert carriers(data) == ["discrete lorenz"]
+
+
 def test_not_asked_for():
     """Nothing of it is there by default."""
     data = jaxnh.Session(henon, start={"x": 0.1, "y": 0.1}).run(jaxnh.Orbits(max_period=1), a=np.array([1.4]))

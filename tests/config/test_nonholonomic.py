@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("uncalibrated")
 FOLDER = ROOT / "configs/nonholonomic"
 STATES = 40
 EXACT = 1e-12  # of accelerations near ten, from some hundred products
-ELSEWHERE = {"rattleback", "celtic_stone", "sleigh", "nose_hoover", "switched_sleigh"}  # in other files, and below
+ELSEWHERE = {"rattleback", "celtic_stone", "discrete_lorenz", "sleigh", "nose_hoover", "switched_sleigh"}  # elsewhere
 
 
 def numbers(seed, k):
@@ -451,7 +451,7 @@ SMALL = {
 }
 
 
-STEPS = {"rattleback": 1600, "celtic_stone": 400}
+STEPS = {"rattleback": 1600, "celtic_stone": 400, "discrete_lorenz": 400}
 """A unit of time: a stone that rattles fast needs some 1,460 at 1e-9, one of larger sizes 240, the others below 100."""
 
 
@@ -535,3 +535,30 @@ def test_exponents_of_the_thermostat_are_paired():
         sums = others + others[::-1]
         assert sums.mean() < -0.05  # the field does work, which the thermostat takes out
         assert np.abs(sums - sums.mean()).max() < 10 / duration
+
+
+@pytest.mark.parametrize(
+    ("name", "energy"),
+    [
+        ("sleigh_in_a_valley", 1.0),
+        pytest.param("suslov", 0.2, marks=pytest.mark.slow),
+        pytest.param("parallel_velocities", 6.0, marks=pytest.mark.slow),
+    ],
+)
+def test_sum_rule_on_a_level(name, energy):
+    """Of all exponents on the level, and on a nonlinear constraint: the mean divergence, but for steps of order nine.
+
+    What the gradients of the energy and of the constraint change by, some 1e-2 over this time, is in it.
+    """
+    made = jaxnh.load(
+        FOLDER / f"{name}.yaml",
+        [
+            f"sweep={{energy: {{values: [{energy}]}}}}",
+            "section=null",
+            "accuracy={solver: verner9, steps: 200}",
+            "analyses={portrait: {}}",
+        ],
+    )
+    options = jaxnh.Lyapunov(transient=8, periods=32, exponents=made.flow().exponents, method="averages")
+    data = session_of(made).run(options)
+    assert np.abs(data["sum_rule_residual"].to_numpy()).max() < 1e-9

@@ -1,4 +1,4 @@
-"""Averages of growth along lanes, the spectra made of them, and the sum of all exponents. No integration."""
+"""Averages of growth along lanes, the spectra made of them, and the sum of all exponents."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
-from jaxnh.analyses.batch import LaneBatch
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows
 from jaxnh.analyses.exponents.from_orbits import OrbitExponents
 from jaxnh.analyses.exponents.tangent_growth import TangentState
+from jaxnh.systems.lagrangian import Lagrangian
+from jaxnh.systems.level import constraint_gradients, log_area
+from jaxnh.systems.state import State
 
 SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
 """Meanings of the flags 0 to 3 of `exponents_method`."""
@@ -22,6 +25,7 @@ class Averages(NamedTuple):
     """Averages of lanes.
 
     Attributes:
+        begun: states where the averages begin.
         growth: of every lane at its end.
         rates: growth a period in every block that was run: of the flow's direction without a clock, of each tangent,
             of volume, and of volume by quadrature, (lanes, blocks, sums).
@@ -30,6 +34,7 @@ class Averages(NamedTuple):
         settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
     """
 
+    begun: State
     growth: TangentState
     rates: Float[np.ndarray, "lanes blocks sums"]
     smooth: Float[np.ndarray, "lanes 3 sums"]
@@ -75,3 +80,21 @@ def exponent_sum(batch: LaneBatch, averages: Averages, spectrum: Spectrum, align
         windows = average_windows(averages.smooth[smooth, :, k : k + 1], aligned, length)
         total[smooth], error[smooth] = windows.mean[:, 0], windows.error[:, 0]
     return Average(total, error + step_error(batch))
+
+
+def area_growth(batch: LaneBatch, lanes: LaneRunner, averages: Averages) -> Float[np.ndarray, " lanes"]:
+    """Return ln of the growth of area on what motions keep over that of volume, from the begin of averages to the end.
+
+    It stays bounded, but over a finite time the sum of the exponents is less the mean divergence by it. At rest on a
+    critical point of an integral, where there is no such area, it is zero.
+    """
+    flow, shared = batch.flow, (batch.family or batch.system,)
+    if not isinstance(flow, Lagrangian) or not flow.constrained:
+        return np.zeros(batch.count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        begun, ended = (
+            log_area(flow, np.asarray(lanes(constraint_gradients, shared, (state, dict(batch.p)))))
+            for state in (averages.begun, averages.growth.state)
+        )
+        grown = ended - begun
+    return np.where(np.isfinite(grown), grown, 0.0)

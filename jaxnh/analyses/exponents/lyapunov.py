@@ -36,7 +36,7 @@ from jaxnh.analyses.exponents.errors import (
     widen_to_sum_rule,
     widen_to_zero,
 )
-from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum, exponent_sum
+from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum, area_growth, exponent_sum
 from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
 from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refinement_needed
 from jaxnh.analyses.exponents.tangent_growth import (
@@ -106,7 +106,8 @@ def run(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     parts, refinement = chosen["parts"], chosen.get("refinement", 1)
     batch = replace(batch, steps=refinement * batch.steps)
     blocks = averages(options, batch, lanes, parts)
-    data = _dataset(options, batch, blocks, spectrum(options, batch, lanes, blocks, parts), parts)
+    area = area_growth(batch, lanes, blocks) if every_exponent(options, batch) else np.zeros(batch.count)
+    data = _dataset(options, batch, blocks, spectrum(options, batch, lanes, blocks, parts), parts, area)
     return data if refinement == 1 else data.assign_attrs(refinement_for_tangents=refinement)
 
 
@@ -136,6 +137,7 @@ def averages(
         if len(others):
             part, part_p = select((growth, p), others)
             _write_lanes(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
+    begun = jax.tree.map(np.array, growth.state)
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
     smooth = np.zeros((count, 3, lead + k + 1))
     done = np.zeros(count, int)
@@ -164,7 +166,7 @@ def averages(
                 running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
-    return Averages(growth, rates, smooth, done, settled)
+    return Averages(begun, growth, rates, smooth, done, settled)
 
 
 def _stretches(options: LyapunovOptions) -> list[range]:
@@ -261,23 +263,24 @@ def tangents(options: LyapunovOptions, batch: LaneBatch) -> int:
 
 
 def _dataset(
-    options: LyapunovOptions, batch: LaneBatch, averages: Averages, spectrum: Spectrum, parts: int
+    options: LyapunovOptions, batch: LaneBatch, averages: Averages, spectrum: Spectrum, parts: int, area: np.ndarray
 ) -> xr.Dataset:
-    """Return all variables; for an autonomous flow the first sum is that along the flow."""
+    """Return all variables; for an autonomous flow the first sum is that along the flow.
+
+    Args:
+        area: ln of the growth of area over that of volume, as in `area_growth`, (lanes,).
+    """
     period, k = batch.flow.period, spectrum.mean.shape[1]
     wanted = min(options.exponents, k)
     mean, error = spectrum.mean / period, spectrum.error / period
     averaged = averages.blocks * (options.periods // BLOCKS)
     symbols, residual = batch.flow.contraction, None
-    volume = averages.rates[:, :, k:].copy()
-    ran = np.arange(BLOCKS) < averages.blocks[:, None]
-    volume = np.sum(np.where(ran[:, :, None], volume, 0.0), axis=1) / averages.blocks[:, None] / period
-    sums = np.sum(np.where(ran[:, :, None], averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
+    volume, sums = _volume_and_sums(averages, k, period)
     if every_exponent(options, batch):
         # At rest the flow has no direction once its rate has come down to rounding.
         sums = np.where(spectrum.source == SOURCES.index("equilibrium"), mean.sum(axis=1), sums)
         with np.errstate(invalid="ignore"):  # both are minus infinity where a map has a multiplier zero
-            residual = sums - volume[:, 1 if symbols else 0]
+            residual = sums - volume[:, 1 if symbols else 0] - area / averaged / period
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
         error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
@@ -318,6 +321,15 @@ def _dataset(
         total = exponent_sum(batch, averages, spectrum, options.transient // _ALIGNING, options.periods // BLOCKS)
         variables |= _sum_and_dimension(batch, total, exponents)
     return xr.Dataset(variables, attrs=attrs)
+
+
+def _volume_and_sums(
+    averages: Averages, k: int, period: float
+) -> tuple[Float[np.ndarray, "lanes 2"], Float[np.ndarray, " lanes"]]:
+    """Return growth of volume, also by quadrature, and the sum of k growths, of plain averages a unit of time."""
+    ran = (np.arange(BLOCKS) < averages.blocks[:, None])[:, :, None]
+    volume = np.sum(np.where(ran, averages.rates[:, :, k:], 0.0), axis=1) / averages.blocks[:, None] / period
+    return volume, np.sum(np.where(ran, averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
 
 
 def _sum_and_dimension(

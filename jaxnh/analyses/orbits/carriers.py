@@ -150,7 +150,8 @@ def _kind(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " d"]
     """Name an orbit by its multipliers; one on the unit circle within its error leaves it undecided.
 
     Of three, μ1 < −1 < μ3 < 0 < μ2 < 1 with |μ3| < μ2 and |μ1| μ2 > 1 is the saddle of a discrete Lorenz attractor
-    (Gonchenko, Ovsyannikov, Simó and Turaev, Int. J. Bifurcation Chaos 15 (2005) 3493).
+    (Gonchenko, Ovsyannikov, Simó and Turaev, Int. J. Bifurcation Chaos 15 (2005) 3493). What constraints, norms and
+    levels add to them are zeros, and counted out.
     """
     modulus = np.abs(multipliers)
     beyond = modulus > 1.0
@@ -165,7 +166,7 @@ def _kind(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " d"]
         return "unstable_focus_saddle"
     leading = np.real(multipliers[beyond])
     if len(leading) == 1 and leading[0] < 0 and not turns.any():
-        inner = np.real(multipliers[~beyond])
+        inner = np.real(multipliers[~beyond & (modulus > error)])
         if len(inner) == 2 and inner[0] > 0 > inner[1] and -leading[0] * inner[0] > 1.0:
             return "discrete_lorenz"
     if turns.any():
