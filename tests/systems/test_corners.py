@@ -78,6 +78,24 @@ def test_surfaces_and_the_field(rhs, count):
     assert np.array_equal(ours, theirs)
 
 
+def test_surfaces_of_minima_that_most_states_do_not_see():
+    """The growth of five species, each by the scarcest of five resources: four surfaces each, and some matter seldom.
+
+    Of an extreme of five numbers the first two alone decide it on a quarter of the states at which they are equal.
+    """
+    constants = jnp.linspace(0.2, 0.4, 25)[jnp.arange(25) * 7 % 25].reshape(5, 5)
+
+    def define(d=0.25):
+        def rhs(y, t):
+            resources = jnp.stack(y)
+            growth = jnp.min(resources[None] / (constants + resources[None]), axis=1)
+            return tuple(d * (1.0 - resources) - growth)
+
+        return {"rhs": rhs, "coordinates": tuple("abcde")}
+
+    assert len(with_switches(define, {"d": 0.25})(d=0.25)["switches"]) == 20
+
+
 NEEDLESS = {
     "smooth": lambda y, t, a: (y[1] * jnp.sin(t), y[0] ** 2, jnp.exp(-y[2])),
     "of parameters": lambda y, t, a: (y[0] * jnp.abs(a), jnp.where(a > 0.0, y[1], y[2]), 0.0),
