@@ -21,7 +21,7 @@ from jaxtyping import Array
 
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.crossings import MOST_SHOTS, SETTLED, improve_share
-from jaxnh.maps.event_heights import Heights, heights_of, numbers_of, separate_sides, pick
+from jaxnh.maps.event_heights import Heights, heights_of, numbers_of, pick, separate_sides
 from jaxnh.maps.general_flow import (
     Moving,
     first_of_stack,

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.maps.event_heights import Heights, any_of, heights_of, numbers_of, separate_sides, pick
+from jaxnh.maps.event_heights import Heights, any_of, heights_of, numbers_of, pick, separate_sides
 from jaxnh.maps.general_flow import Moving, linearise, linearise_all
 from jaxnh.systems.flow import CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
