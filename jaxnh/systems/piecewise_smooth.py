@@ -26,7 +26,7 @@ DIRECTIONS = ("up", "down", "both")
 """Directions in which a wall may be passed: its height rises through zero, falls, or either."""
 
 
-_MANY = 12  # surfaces: of so many heights as a vector are compiled in a third of the time
+_MANY = 12  # surfaces: a map across twenty is compiled in 8 s of processor in place of 70, their heights as a vector
 
 
 class PiecewisePoint(NamedTuple):
