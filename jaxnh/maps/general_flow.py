@@ -137,8 +137,7 @@ class GeneralStrobe(ReturnMap):
         in_turn = time_split(self.system).size > _IN_TURN
         derivative = partial(linearise_stacked, in_turn=in_turn) if stacked else linearise
         if stacked:
-            moved = _stacked(moved)
-            by_p = _stacked([dp or jax.tree.map(jnp.zeros_like, own) for dp in by_p]) if any(by_p) else None
+            moved, by_p = stacked_tangents(moved, own, by_p)
 
         @traced_once
         def rates(values: Sequence[Any], system: Flow, own: Any, y: Moving, by_p: Any) -> Moving:
@@ -178,10 +177,7 @@ class GeneralStrobe(ReturnMap):
             )
             ended = self._march(field, None, reduced, len(tangents) + 1)
             ended = along_tangents(restored)(grid[-1], ended, placed.state)
-        each = [
-            jax.tree.map(lambda x, i=i: x[i], ended.tangents) if stacked else ended.tangents[i]
-            for i in range(len(tangents))
-        ]
+        each = unstacked_tangents(ended.tangents, len(tangents)) if stacked else ended.tangents
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
         return Pushforward(ended.state, pushed, jnp.exp(ended.log_volume) if volume else jnp.ones_like(first))
 
@@ -246,7 +242,13 @@ def linearise(
 
 
 def linearise_stacked(
-    function: Callable[[Any, Any], Any], y: Any, own: Mapping[str, Any], moved: Any, by_p: Any, *, in_turn: bool
+    function: Callable[[Any, Any], Any],
+    y: Any,
+    own: Mapping[str, Any],
+    moved: Any,
+    by_p: Any,
+    *,
+    in_turn: bool = False,
 ) -> tuple[Any, Any]:
     """The same along tangents whose numbers are arrays (tangents,), as those of own are where there are some.
 
@@ -262,6 +264,36 @@ def linearise_stacked(
         return value, each(slope, moved)
     value, slope = jax.linearize(function, y, dict(own))
     return value, each(slope, moved, by_p)
+
+
+def linearise_all(
+    function: Callable[[Any, Any], Any],
+    y: Any,
+    own: Mapping[str, Any],
+    moved: Sequence[Any],
+    by_p: Sequence[Mapping[str, Any] | None],
+    *,
+    stacked: bool,
+) -> tuple[Any, tuple[Any, ...]]:
+    """As `linearise`, by one derivative of all tangents where they are to be stacked."""
+    if not stacked or len(moved) < 2:
+        return linearise(function, y, own, moved, by_p)
+    value, slopes = linearise_stacked(function, y, own, *stacked_tangents(moved, own, by_p))
+    return value, unstacked_tangents(slopes, len(moved))
+
+
+def stacked_tangents(
+    moved: Sequence[Any], own: Mapping[str, Any], by_p: Sequence[Mapping[str, Any] | None]
+) -> tuple[Any, Any]:
+    """Tangents, and their derivatives in the parameters or None, as one whose numbers are arrays (tangents,)."""
+    if not any(by_p):
+        return _stacked(moved), None
+    return _stacked(moved), _stacked([dp or jax.tree.map(jnp.zeros_like, dict(own)) for dp in by_p])
+
+
+def unstacked_tangents(moved: Any, count: int) -> tuple[Any, ...]:
+    """Tangents one by one, of one whose numbers are arrays (tangents,)."""
+    return tuple(jax.tree.map(lambda leaf, i=i: leaf[i], moved) for i in range(count))
 
 
 def _stacked(trees: Sequence[Any]) -> Any:

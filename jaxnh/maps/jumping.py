@@ -21,19 +21,23 @@ from jaxtyping import Array
 
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.crossings import MOST_SHOTS, SETTLED, improve_share
+from jaxnh.maps.event_heights import Heights, heights_of, numbers_of, pick, separate_sides
 from jaxnh.maps.general_flow import (
     Moving,
     first_of_stack,
     lanes_per_tile,
     linearise,
+    linearise_stacked,
     own_parameters,
     roomy_grid,
     stack_leaves,
+    stacked_tangents,
     stages_in_loop,
+    unstacked_tangents,
 )
 from jaxnh.maps.passages import March, Passages, passages_within
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Heights, Reading, pick, side_from
+from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Reading, side_from
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -127,7 +131,8 @@ class _Lane:
         self.strobe, self._passage = strobe, passage
         system = self._system = strobe.system
         self._jumps, self._holding = len(system.jumps), system.holding
-        self._either = [way == "both" for way in system.jumps] + [True] * system.switches
+        self._numbers = numbers_of(system)
+        self._either = [way == "both" for way in system.jumps] + [True] * (len(self._numbers) - self._jumps)
         self.most_events = _MOST_IMPACTS if any(system.holds[: self._jumps]) else _MOST_EVENTS
 
     # ---- the loop
@@ -139,7 +144,7 @@ class _Lane:
     def begin(self, moving: Moving, grid: Array) -> March:
         """A lane at the beginning of the first step."""
         t, length, state = grid[0], grid[1] - grid[0], moving.state
-        height = self._system.heights(t, state, self._passage.own)
+        height = heights_of(self._system, t, state, self._passage.own)
         signs = tuple(jnp.where(h >= 0.0, 1.0, -1.0) for h in height)
         reading = self._passage.read(t, moving, signs)
         zero, none, no = jnp.zeros_like(state.y[0]), jnp.int32(0), jnp.bool_(False)
@@ -160,7 +165,7 @@ class _Lane:
             height=reading.height,
             rate=reading.rate,
             side=side,
-            rounding=(zero,) * len(height),
+            rounding=(jnp.zeros_like(height[0]),) if self._system.many_surfaces else (zero,) * len(height),
             stretch=zero + length,
             share=zero + 1.0,
             low=zero,
@@ -176,7 +181,9 @@ class _Lane:
 
     def field(self, march: March) -> PiecewisePoint:
         """Time derivative of a lane's state by the branch of the field that it is in."""
-        return self._system.branch(march.t, march.moving.state, self._passage.own, march.side)
+        return self._system.branch(
+            march.t, march.moving.state, self._passage.own, separate_sides(self._system, march.side)
+        )
 
     def trial(self, march: March) -> March:
         """Take one step: a whole one, one that locates a passage within it, or the one that ends there."""
@@ -187,7 +194,9 @@ class _Lane:
         t = jnp.where(seeking, end, march.t + h)
         ahead = self._restore(t, self._advance(march.t, h, march.side, march.moving), march.side)
         reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
-        passages = passages_within(march, reading, h, self._sides_of_heights(march.side), self._either, seeking, finite)
+        passages = passages_within(
+            march, reading, h, self._sides_of_heights(march.side), self._numbers, self._either, seeking, finite
+        )
         seen, sought = passages.seen, march.sought
         pausing = ~seen & jnp.isfinite(passages.turn)
         fresh = seen | pausing  # a passage or a turn to go to
@@ -228,7 +237,7 @@ class _Lane:
             low=jnp.where(fresh, passages.low, bracket[0]),
             high=jnp.where(fresh, passages.high, bracket[1]),
             shots=jnp.where(moved, 0, jnp.where(fresh, 1, march.shots + 1)),
-            sought=jnp.where(seen, passages.first, jnp.where(pausing, len(march.height), sought)),
+            sought=jnp.where(seen, passages.first, jnp.where(pausing, self._jumps + self._system.switches, sought)),
             sure=jnp.where(seen, passages.sure, jnp.where(pausing, False, sure)),
             settled=jnp.where(moved | seen, False, pausing | (~seeking & near)),
             again=jnp.where(moved, False, march.again | (seen & ~seeking)),
@@ -247,19 +256,25 @@ class _Lane:
     def _advance(self, t: Array, h: Array, sides: Heights, moving: Moving) -> Moving:
         """One Runge–Kutta step, on one branch of the field."""
         system, solver, c = self._system, self.strobe.solver, jnp.asarray(self.strobe.solver.c)
-        lane = self._passage
+        lane, count = self._passage, len(moving.tangents)
+        stacked = system.many_surfaces and count > 1
+        derivative, by_p = (linearise_stacked if stacked else linearise), lane.by_p
+        if stacked:
+            moved, by_p = stacked_tangents(moving.tangents, lane.own, lane.by_p)
+            moving = moving._replace(tangents=moved)
 
         def rates(stage: Any, y: Moving) -> Moving:
             at = t + c[stage] * h
 
             def rate(z: PiecewisePoint, own: Parameters) -> PiecewisePoint:
-                return system.branch(at, z, own, sides)
+                return system.branch(at, z, own, separate_sides(system, sides))
 
             divergence = system.divergence_of(lambda z: rate(z, lane.own), y.state) if lane.volume else None
-            return Moving(*linearise(rate, y.state, lane.own, y.tangents, lane.by_p), divergence)
+            return Moving(*derivative(rate, y.state, lane.own, y.tangents, by_p), divergence)
 
-        in_loop = stages_in_loop(system, solver, len(moving.tangents) + lane.volume)
-        return (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
+        in_loop = stages_in_loop(system, solver, count + lane.volume)
+        after = (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
+        return after._replace(tangents=unstacked_tangents(after.tangents, count)) if stacked else after
 
     def _sides_of_heights(self, sides: Heights) -> Heights:
         """The sides on which heights are, that of a release, which is below zero up to it, included."""

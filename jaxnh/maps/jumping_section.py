@@ -51,6 +51,11 @@ class _WithSection(PiecewiseSmooth):
         return self.as_it_is.branch(t, y, p, sides[:-1])
 
     @property
+    def many_surfaces(self) -> bool:
+        """Return false: the height above the section is read by itself."""
+        return False
+
+    @property
     def constrained(self) -> bool:
         """Return whether states are brought back to constraints after each step."""
         return self.as_it_is.constrained

@@ -6,14 +6,15 @@ Heights and their rates at both ends of a trial say whether one has been passed,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxnh.maps.crossings import crossing_between, near_turn
+from jaxnh.maps.event_heights import Heights, any_of, as_vector, pick
 from jaxnh.maps.general_flow import Moving
-from jaxnh.maps.saltation import Heights, Reading, any_of, pick
+from jaxnh.maps.saltation import Reading
 
 
 class March(NamedTuple):
@@ -84,7 +85,14 @@ class Passages(NamedTuple):
 
 
 def passages_within(
-    march: March, reading: Reading, h: Array, before: Heights, either: Sequence[bool], seeking: Array, finite: Array
+    march: March,
+    reading: Reading,
+    h: Array,
+    before: Heights,
+    numbers: Sequence[Any],
+    either: Sequence[bool],
+    seeking: Array,
+    finite: Array,
 ) -> Passages:
     """Locate passages within what a trial of length h has gone over, and turns of heights near zero.
 
@@ -92,11 +100,11 @@ def passages_within(
         march: before the trial.
         reading: at its end.
         before: side of each height at its beginning.
+        numbers: of them.
         either: whether each is passed both ways.
         seeking: whether it is a whole step, in which passages are looked for.
         finite: whether its end is.
     """
-    count = len(march.height)
     kept = [
         jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
         for x, r, s in zip(reading.height, march.rounding, before, strict=True)
@@ -104,12 +112,12 @@ def passages_within(
     ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
     between = [crossing_between(e, side, either=both) for e, side, both in zip(ends, before, either, strict=True)]
     passed = [part[3] & finite for part in between]
-    looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in range(count)]
+    looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in numbers]
     checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
     guesses = [_guess(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
     turns = [near_turn(e, side) for e, side in zip(ends, before, strict=True)]
     turns = [(turn, near & seeking & finite) for turn, near in turns]
-    candidates = jnp.stack([jnp.where(hit, guess, jnp.inf) for hit, guess in zip(checked, guesses, strict=True)])
+    candidates = as_vector([jnp.where(hit, guess, jnp.inf) for hit, guess in zip(checked, guesses, strict=True)])
     first = jnp.argmin(candidates).astype(jnp.int32)
     crossed = [part[0] != old for part, old in zip(between, before, strict=True)]
     return Passages(
@@ -121,7 +129,7 @@ def passages_within(
         low=pick(first, [part[1] for part in between]),
         high=pick(first, [part[2] for part in between]),
         sure=pick(first, crossed),
-        turn=jnp.min(jnp.stack([jnp.where(near, turn, jnp.inf) for turn, near in turns])),
+        turn=jnp.min(as_vector([jnp.where(near, turn, jnp.inf) for turn, near in turns])),
     )
 
 

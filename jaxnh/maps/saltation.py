@@ -14,21 +14,21 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.maps.general_flow import Moving, linearise
+from jaxnh.maps.event_heights import Heights, any_of, heights_of, numbers_of, pick, separate_sides
+from jaxnh.maps.general_flow import Moving, linearise, linearise_all
 from jaxnh.systems.flow import CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
 from jaxnh.systems.sliding import HeldMotion, is_on, without_rounding
+from jaxnh.systems.tracing import traced_once
 
 _ON_WALL = 1e-9  # a state as near as this after its jump is on the wall: of a step's way across
 _BOTH_ROUNDINGS = 4.0  # times the height at which a wall was met, for that of the state after
 _AT_REST = 1e-6  # of a step: impacts that would all have been by then are over
 _UNSEEN_BOUNCE = 16.0  # times the height at which a wall was met: a bounce no higher is rounding
 _NOWHERE = 1e-300  # height of a state that is on a surface, to keep its side
-
-Heights = tuple[Array, ...]
-"""A number for each jump, then for each switch."""
 
 
 class Reading(NamedTuple):
@@ -67,7 +67,7 @@ class Arrival(NamedTuple):
     length: Array
     step: Array
 
-    def at(self, k: int) -> Array:
+    def at(self, k: ArrayLike) -> Array:
         """Return whether the wall or surface with a number is met from one of its sides."""
         return self.passes & (self.sought == k)
 
@@ -101,16 +101,15 @@ class EventPassage:
 
     def __init__(self, system: PiecewiseSmooth, own: Parameters, by_p: list[Any], *, volume: bool) -> None:
         self.system, self.own, self.by_p, self.volume = system, own, by_p, volume
-        self._jumps = len(system.jumps)
+        self._jumps, self._numbers = len(system.jumps), numbers_of(system)
+        self._rising = traced_once(_heights_with_rates) if system.many_surfaces else _heights_with_rates
         self._changes = [k for k, begins in enumerate(system.begins) if begins or k < self._jumps]
 
     def read(self, t: Array, moving: Moving, sides: Heights) -> Reading:
         """Field, heights and rates of a lane that is on these sides of walls and surfaces."""
         system, state = self.system, moving.state
-        field = system.branch(t, state, self.own, sides)
-        height, rate = jax.jvp(
-            lambda z, t: system.heights(t, z, self.own), (state, jnp.asarray(t)), (field, jnp.ones_like(t))
-        )
+        field = system.branch(t, state, self.own, separate_sides(system, sides))
+        height, rate = self._rising(system, jnp.asarray(t), state, self.own, field)
         if system.holding:
             release, change = jax.jvp(
                 lambda z, t: system.held(t, z, self.own, sides).release,
@@ -180,7 +179,7 @@ class EventPassage:
         after, pushed, jumps, begins = self._jump(end, sides, carried, delays, by_p, arrival)
 
         # Sides: those of surfaces first, which decide the field there.
-        heights = self.system.heights(end.t, after, self.own) if self._changes else end.height
+        heights = heights_of(self.system, end.t, after, self.own) if self._changes else end.height
         changes = jumps if begins is None else jumps | begins
         new_sides = self._crossed(end.height, heights, sides, arrival, changes)
         left: Heights = ()
@@ -212,9 +211,9 @@ class EventPassage:
         if not along:
             return []
         system, zero = self.system, jnp.zeros_like(end.t)
-        slopes = linearise(
-            lambda at, own: system.heights(at[1], at[0], own),
-            (end.moving.state, end.t), self.own, [(dz, zero) for dz in along], by_p,
+        slopes = linearise_all(
+            lambda at, own: heights_of(system, at[1], at[0], own),
+            (end.moving.state, end.t), self.own, [(dz, zero) for dz in along], by_p, stacked=system.many_surfaces,
         )[1]  # fmt: skip
         met_rate = pick(arrival.sought, end.rate)
         return [jnp.where(arrival.passes, -pick(arrival.sought, slope) / met_rate, 0.0) for slope in slopes]
@@ -250,8 +249,8 @@ class EventPassage:
     def _crossed(self, before: Heights, after: Heights, sides: Heights, arrival: Arrival, jumps: Array) -> Heights:
         """Sides after an event, of a surface that is passed, and of what the jump has leapt over."""
         crossed: list[Array] = []
-        for k, (old, new, now) in enumerate(zip(before, after, sides, strict=True)):
-            if k >= self._jumps:
+        for i, (k, old, new, now) in enumerate(zip(self._numbers, before, after, sides, strict=True)):
+            if i >= self._jumps:
                 now = jnp.where(arrival.at(k), -arrival.side, now)
             leapt = jumps & (arrival.sought != k) & (jnp.sign(old) != jnp.sign(new))
             crossed.append(jnp.where(leapt, jnp.where(new >= 0.0, 1.0, -1.0), now))
@@ -264,7 +263,7 @@ class EventPassage:
         new_sides, roundings = list(sides), list(rounding)
         met_height, met_rate = pick(arrival.sought, end.height), pick(arrival.sought, end.rate)
         for k in range(len(sides)):
-            here = arrival.at(k)
+            here = arrival.at(self._numbers[k])
             roundings[k] = jnp.where(here, _BOTH_ROUNDINGS * jnp.abs(met_height), roundings[k])
             if k < self._jumps:
                 way = (jnp.abs(met_rate) + jnp.abs(after.rate[k])) * arrival.length
@@ -360,26 +359,16 @@ class EventPassage:
         return AfterEvent(moving._replace(state=state), heights, rates, sides, roundings)
 
 
+def _heights_with_rates(
+    system: PiecewiseSmooth, t: Array, state: PiecewisePoint, own: Parameters, field: PiecewisePoint
+) -> tuple[Heights, Heights]:
+    return jax.jvp(lambda z, t: heights_of(system, t, z, own), (state, t), (field, jnp.ones_like(t)))
+
+
 def side_from(height: Array, rate: Array, near: Array, otherwise: Array) -> Array:
     """The side that a motion is on: by its height, on the wall by its rate, at rest there as is said."""
     by_rate = jnp.where(rate == 0.0, otherwise, jnp.sign(rate))
     return jnp.where(jnp.abs(height) <= near, by_rate, jnp.where(height >= 0.0, 1.0, -1.0))
-
-
-def pick(number: Array, values: Sequence[Array]) -> Array:
-    """The value with a number; the first where there is none."""
-    picked = values[0]
-    for k, value in enumerate(values[1:], 1):
-        picked = jnp.where(number == k, value, picked)
-    return picked
-
-
-def any_of(flags: Sequence[Array]) -> Array:
-    """Return whether one of the flags is set."""
-    flag = flags[0]
-    for other in flags[1:]:
-        flag |= other
-    return flag
 
 
 def _less(y: PiecewisePoint, direction: Sequence[Array], length: Array) -> PiecewisePoint:

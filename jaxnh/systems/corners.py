@@ -23,15 +23,14 @@ from jaxnh.systems.straight_pieces import (
     is_real,
     written_in_pieces,
 )
+from jaxnh.systems.surface_probes import probe_surfaces
 from jaxnh.systems.tracing import KnownValue, Program, Slot, Step
 from jaxnh.systems.user_functions import pointwise
 
 _WITHOUT_SURFACE = ("floor", "ceil", "round", "rem", "argmax", "argmin", "sort", "reduce_max", "reduce_min")
 _CONTINUOUS = ("abs", "max", "min", "clamp", "reduce_max", "reduce_min", "sort")
-_PROBES = 16  # random states, for each surface
-_NEWTON_STEPS = 40  # to a surface
-_BESIDE = 0.01  # so far from it branches are compared
-_ALIKE = 1e-9  # of their size: the difference of two branches that are one function
+_PROBES = 16  # random states at a time, for each surface
+_ROUNDS = 4  # of them, where a surface shows no part in the field: of its states a quarter may
 
 Read = Slot | KnownValue
 
@@ -175,45 +174,28 @@ class PiecewiseField:
         The field is not one function on both sides of the first; it may push towards the others from both sides.
         Random states and times go to each surface by Newton. A little beside it, on either side, the field is compared
         with that of the other side. A surface that is touched alone, as r = 0, has none; one that is not reached, or
-        beside which nothing is finite, stays.
+        beside which nothing is finite, stays. Surfaces where none is seen are probed anew: of five numbers two that are
+        equal are the least of all in a quarter of all states.
         """
-        draws, each = np.random.default_rng(0), np.arange(len(self.surfaces))
-        shape = (_PROBES, len(each))
-        p = {
-            name: value + (0.1 * abs(value) + 0.1) * draws.uniform(-1.0, 1.0, shape)
-            for name, value in parameters.items()
-        }
-        z = draws.uniform(-2.0, 2.0, (len(self._program.inputs) - len(p), *shape))
+        draws, count = np.random.default_rng(0), len(self.surfaces)
         heights, rates = jax.jit(self._heights_with_slopes), jax.jit(pointwise(self._rates_with_time))
-
-        def above(z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Heights (surfaces, probes, surfaces); that above the surface that is gone to, and its slopes."""
-            height, slopes = heights(p, tuple(z))
-            height, slopes = np.asarray(height), np.stack([np.asarray(slope)[each, :, each].T for slope in slopes])
-            return height, height[each, :, each].T, slopes
-
-        for _ in range(_NEWTON_STEPS):
-            _, height, slopes = above(z)
-            z = z - height * slopes / np.maximum(np.sum(slopes**2, axis=0), 1e-300)
-        _, height, slopes = above(z)
-        reached = np.abs(height) < _ALIKE
-        normal = _BESIDE * slopes / np.sqrt(np.maximum(np.sum(slopes**2, axis=0), 1e-300))
-
-        def branches(z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """The side of a surface that is gone to; the field of that side and of the other, (d, probes, surfaces)."""
-            own = np.where(above(z)[0] >= 0.0, 1.0, -1.0)
-            other = own * np.where(each[:, None] == each, -1.0, 1.0)[:, None, :]
-            one, two = (np.stack(np.broadcast_arrays(*rates(p, tuple(z), tuple(side)))) for side in (own, other))
-            return own[each, :, each].T, one, two
-
-        below, on, upon = (branches(z + shift * normal) for shift in (-1.0, 0.0, 1.0))
-        differs = _differ(*below[1:]) | _differ(*upon[1:])
-        part = np.any(reached & (below[0] != upon[0]) & differs, axis=0) | ~np.any(reached, axis=0)
-        gain = on[0] * np.sum(slopes[:-1] * (on[1] - on[2]), axis=0)  # of the height's rate, from below to above
-        size = np.sum(np.abs(slopes[:-1]) * np.maximum(np.abs(on[1]), np.abs(on[2])), axis=0)
-        attracts = np.any(reached & (gain < -_ALIKE * size), axis=0)
-        push = np.sum(np.abs(slopes[:-1] * (on[1] - on[2])), axis=0)
-        return part, attracts, np.any(reached & (push > _ALIKE * size), axis=0)
+        reached, *seen = np.zeros((4, count), bool)
+        for _ in range(_ROUNDS):
+            shape = (_PROBES, count)
+            p = {
+                name: value + (0.1 * abs(value) + 0.1) * draws.uniform(-1.0, 1.0, shape)
+                for name, value in parameters.items()
+            }
+            z = draws.uniform(-2.0, 2.0, (len(self._program.inputs) - len(p), *shape))
+            there, *more = probe_surfaces(
+                lambda z, p=p: heights(p, tuple(z)), lambda z, side, p=p: rates(p, z, side), z
+            )
+            unknown, reached = ~seen[0], reached | there
+            seen = [one | (other & unknown) for one, other in zip(seen, more, strict=True)]
+            if np.all(seen[0] | ~reached):
+                break
+        differs, attracts, pushes = seen
+        return differs | ~reached, attracts, pushes
 
     def _heights_with_slopes(self, p: Mapping[str, Any], z: tuple[Any, ...]) -> tuple[Any, list[Any]]:
         """Heights above all surfaces at (y, t) of any shape, and their derivatives in each of these numbers."""
@@ -345,13 +327,6 @@ def forces_with_switches(
         }
 
     return forces_with_switches
-
-
-def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return whether two fields (components, ...) differ, or none of them is finite."""
-    finite = np.isfinite(one) & np.isfinite(other)
-    size = np.max(np.where(finite, np.maximum(np.abs(one), np.abs(other)), 0.0), axis=0)
-    return np.any(np.where(finite, np.abs(one - other), np.inf) > _ALIKE * size, axis=0)
 
 
 def names_without_surface(function: Callable[..., Any], *arguments: Any) -> tuple[str, ...]:

@@ -45,6 +45,11 @@ _WHY = {
 }
 """Why flows are apart from the independent integration, each looked at by itself."""
 
+_WRONG = {
+    "Torus": "rightly: its rates are functions of t alone, of sin t and sin 15.3 t, and the file gives no period",
+}
+"""Flows whose files are wrong as they are made, and rightly refused."""
+
 _TEXT = """\
 # The first answer
 
@@ -124,7 +129,7 @@ def page(
     """The page of results."""
 
     answered = {name: answer for name, answer in empty.items() if answer.code == 0}
-    refused = [f"- {n}: {' '.join(a.text.split())[-240:]}" for n, a in empty.items() if a.code]
+    refused = [_refusal(name, answer) for name, answer in empty.items() if answer.code]
     compared = [name for name, words in said.items() if words is not None]
     differing = [f"- {words}; {_WHY.get(name, 'not explained')}" for name, words in said.items() if words]
     rows = [
@@ -146,6 +151,12 @@ def page(
         differing="\n".join(differing) or "- none",
         rows="\n".join(rows),
     )
+
+
+def _refusal(name: str, answer: Answer) -> str:
+    """A line about a flow that is not answered."""
+    why = f"; {_WRONG[name]}" if name in _WRONG else ""
+    return f"- {name}: {' '.join(answer.text.split())[-240:]}{why}"
 
 
 def _row(cache: str, answers: Mapping[str, Answer]) -> str:

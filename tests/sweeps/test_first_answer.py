@@ -30,3 +30,13 @@ def test_page_has_medians_and_refusals(monkeypatch):
     assert "2 of 3 flows are answered. Of 2 there is an independent integration; 1 agree" in " ".join(page.split())
     assert "- c: c.yaml:1: no such key" in page
     assert "| a | 3 | 3.0 | 1.5 | 0.5 |" in page
+
+
+def test_a_file_that_is_wrong_has_its_reason(monkeypatch):
+    monkeypatch.setattr(first_answer, "version", lambda _: "0.96")
+    text = "3.0 s: compile 1.5 s, run 0.5 s, set-up and the rest 1.0 s"
+    refusals = {name: Answer(2, 1.0, "sys.py:5: the system depends on t") for name in ("Torus", "d")}
+    answers = {"a": Answer(0, 3.0, text), **refusals}
+    page = first_answer.page(answers, {"a": answers["a"]}, {"a": ""}, dict.fromkeys(answers, 3))
+    assert "- Torus: sys.py:5: the system depends on t; rightly: its rates are functions of t alone" in page
+    assert "- d: sys.py:5: the system depends on t\n" in page

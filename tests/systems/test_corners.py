@@ -78,6 +78,34 @@ def test_surfaces_and_the_field(rhs, count):
     assert np.array_equal(ours, theirs)
 
 
+HALVES = (  # half-saturation constants of five resources, in rows, for five species
+    (0.39, 0.34, 0.30, 0.24, 0.23),
+    (0.22, 0.39, 0.34, 0.30, 0.27),
+    (0.27, 0.22, 0.39, 0.34, 0.30),
+    (0.30, 0.24, 0.22, 0.39, 0.34),
+    (0.34, 0.30, 0.22, 0.20, 0.39),
+)
+
+
+def test_surfaces_of_minima_that_most_states_do_not_see():
+    """Species that grow by the scarcest of five resources each (Huisman and Weissing, Nature 402 (1999) 407).
+
+    A minimum of five has four surfaces. The first two numbers alone decide it on a quarter of the states at which they
+    are equal, and sixteen states had shown eighteen surfaces of twenty.
+    """
+
+    def define(d=0.25, m=0.25, r=1.0):
+        def rhs(y, t):
+            species, resources = jnp.stack(y)[:5], jnp.stack(y)[5:]
+            growth = jnp.min(r * resources[None] / (jnp.array(HALVES).T + resources[None]), axis=1)
+            return (*(species * (growth - m)), *(d * (1.0 - resources) - 0.05 * growth * species))
+
+        return {"rhs": rhs, "coordinates": tuple("abcdefghij")}
+
+    parameters = {"d": 0.25, "m": 0.25, "r": 1.0}
+    assert len(with_switches(define, parameters)(**parameters)["switches"]) == 20
+
+
 NEEDLESS = {
     "smooth": lambda y, t, a: (y[1] * jnp.sin(t), y[0] ** 2, jnp.exp(-y[2])),
     "of parameters": lambda y, t, a: (y[0] * jnp.abs(a), jnp.where(a > 0.0, y[1], y[2]), 0.0),
