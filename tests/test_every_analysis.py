@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
+import jax
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -30,7 +31,7 @@ from jaxnh.systems.straight_pieces import equations_within
 from tests.flows import constrained_oscillators, known_maps, moebius, paper_equations
 from tests.flows.moebius import TURN
 from tests.helpers import contract, taylor
-from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
+from tests.helpers.kept_programs import QUICKLY_COMPILED, FewLanes, session_of
 
 pytestmark = pytest.mark.usefixtures("uncalibrated")
 UNSAID = ("mu", "nu")
@@ -47,7 +48,7 @@ OPTIONS = {
     "doubling": {"levels": 1},
     "windows": {"max_period": 2, "levels": 1, "crisis": 0, "transient": 64},
     "branches": {"max_period": 2, "transient": 64},
-    "curves": {"max_period": 2, "transient": 64},
+    "curves": {"max_period": 2, "transient": 64, "n_values": 1},
     "homoclinic": {"box": {"u": (-1.0, 1.0)}},
     "atlas": {"max_period": 2, "transient": 64, "n_values": 2, "levels": 0},
     "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
@@ -83,25 +84,33 @@ OPTIONS = {
         "reach": 0.25,
     },
 }
-BY_LANE = ("edges", "orbits")  # lanes one by one, or so many points of each: of the first axis the ends alone
+BY_LANE = ("edges", "orbits", "phase_response")
+"""Analyses, or options, that take lanes one by one, or so many points of each: of the first axis the ends alone."""
 UNSTABLE_ALONE = {"manifolds": OPTIONS["manifolds"] | {"kind": "unstable"}}
 
 
 @pytest.fixture(autouse=True, scope="module")
 def lowered_for_cuda_too():
-    """Lower programs for CUDA as well, on any machine: in float64, by no call of the host or of a CPU's library.
+    """Lower operations for CUDA as well, on any machine: in float64, by no call of the host or of a CPU's library.
 
-    Rules of lowering are those of operations on types of numbers: a program that has none that is new is as those before.
+    Rules of lowering are those of operations on types of numbers, so that each is lowered by itself, once. Of loops,
+    branches and calls, whose operations are looked at one by one, one program each is lowered as it is.
     """
     seen = set()
 
     def lower(traced):
         outer = traced.jaxpr.jaxpr.eqns
-        equations = [inner for equation in outer for inner in (equation, *equations_within(equation))]
-        operations = {(e.primitive.name, *(str(v.aval.dtype) for v in (*e.invars, *e.outvars))) for e in equations}
-        if not operations <= seen:
-            seen.update(operations)
-            text = traced.lower(lowering_platforms=("cuda",)).as_text()
+        new = {}
+        for equation in (inner for each in outer for inner in (each, *equations_within(each))):
+            types = [v.aval.dtype for v in (*equation.invars, *equation.outvars)]
+            calls = next(equations_within(equation), None) is not None
+            new.setdefault((equation.primitive.name, *(() if calls else types)), (calls, equation))
+        new = {key: one for key, one in new.items() if key not in seen}
+        if new:
+            seen.update(new)
+            alone = [] if any(calls for calls, _ in new.values()) else [one for _, one in new.values()]
+            lowered = jax.jit(evaluate_each(alone)).trace(*map(operands, alone)) if alone else traced
+            text = lowered.lower(lowering_platforms=("cuda",)).as_text()
             assert "callback" not in text
             assert {call[:2] for call in re.findall(r"custom_call @(\w+)", text)} <= {"cu"}  # cuSOLVER and the like
             assert not re.search(r"\b(f32|f16|bf16)\b", text)
@@ -109,6 +118,20 @@ def lowered_for_cuda_too():
 
     with mock.patch.object(programs, "_lower", lower):
         yield
+
+
+def operands(equation):
+    """Shapes and types of what an equation reads."""
+    return [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars]
+
+
+def evaluate_each(equations):
+    """A function of the operands of equations, each by itself."""
+
+    def evaluate(*given):
+        return [each.primitive.bind(*one, **each.params) for each, one in zip(equations, given, strict=True)]
+
+    return evaluate
 
 
 def starts_between(name, low, high):
@@ -974,6 +997,9 @@ KINDS = {
     ),
 }
 
+DRAWN = ("a right-hand side with a clock", "two axes", "a start axis")
+"""Kinds whose groups are drawn as well."""
+
 DEAR = ("basins", "orbits", "covariant", "edges")
 BROTHERS = {
     "steps of a lane's own": ("a right-hand side with a clock",),
@@ -997,7 +1023,7 @@ def session(kind):
     """A session of a kind, whose steps are loops over stages and whose tiles are small."""
     config = KINDS[kind].config.replace("FILE", str(written(kind))) + "\nanalyses: {lyapunov: {}}"
     made = session_of(Experiment.from_text(config))
-    made._lanes = lanes_with_kept_programs(None, made._lanes.devices[:1], 8, QUICKLY_COMPILED)
+    made._lanes = FewLanes(None, made._lanes.devices[:1], 8, QUICKLY_COMPILED)
     return made
 
 
@@ -1038,7 +1064,7 @@ def groups_of(kind, analysis):
     if analysis == "verdict":
         asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs}
     axis = session(kind).experiment.axes[0]
-    few = {axis.name: axis.values[[0, -1]]} if analysis in BY_LANE else {}
+    few = {axis.name: axis.values[[0, -1]]} if {analysis, *asked[analysis]} & {*BY_LANE} else {}
     with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
         return session(kind).groups(asked, **few)
 
@@ -1051,19 +1077,14 @@ def drawn(data):
         return str(error)
 
 
-@pytest.mark.parametrize("kind", ["a right-hand side with a clock", "two axes", "a start axis"])
-@pytest.mark.parametrize("analysis", ANALYSES)
-def test_figures_need_no_attributes(kind, analysis):
+def is_drawn_without_attributes(data):
     """A group without attributes is drawn with as many lines and areas, or what it lacks is said in words."""
-    if isinstance(KINDS[kind].known[analysis], str):
-        return
-    for data in groups_of(kind, analysis).values():
-        whole, bare = drawn(data), drawn(data.drop_attrs())
-        if isinstance(bare, str) and bare != whole:
-            assert "has no flag_meanings, the words of its numbers" in bare
-            assert set(data) & {"kind", "criticality", "begin_kind"}
-        else:
-            assert bare == whole
+    whole, bare = drawn(data), drawn(data.drop_attrs())
+    if isinstance(bare, str) and bare != whole:
+        assert "has no flag_meanings, the words of its numbers" in bare
+        assert set(data) & {"kind", "criticality", "begin_kind"}
+    else:
+        assert bare == whole
 
 
 @pytest.mark.parametrize(("kind", "brothers"), BROTHERS.items())
@@ -1097,3 +1118,5 @@ def test_every_analysis(kind, analysis):
     for name, group in groups.items():
         contract.check(name, group, [key for key, unit in units.items() if not unit])
     known(groups[analysis], groups)
+    for group in groups.values() if kind in DRAWN else ():
+        is_drawn_without_attributes(group)

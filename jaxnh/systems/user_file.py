@@ -80,14 +80,9 @@ _OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a nu
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
 _ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
-_RETURNED = {
-    "T": "a number",
-    "map": "a number a coordinate",
-    "rhs": "a number a coordinate",
-    "rates": "a number a coordinate",
-    "Q": "a number a coordinate",
-    "f": "a number a constraint",
-}
+_MOST_FLOWS = 256  # flows kept, at most: a session asks for the same ones again and again
+_RETURNED = dict.fromkeys(("map", "rhs", "rates", "Q"), "a number a coordinate")
+_RETURNED |= {"T": "a number", "f": "a number a constraint"}
 
 
 UserFlow = Lagrangian | FirstOrder | DiscreteMap
@@ -124,6 +119,7 @@ class UserFile:
         self.parameters = self._defaults()
         self._periodic: set[tuple[float, ...]] = set()  # parameters at which the equations were seen to have the period
         self._periods: dict[tuple[tuple[str, float], ...], float] = {}
+        self._flows: dict[str, UserFlow] = {}
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.states, self.integrals = states_in(definition), tuple(definition.get("integrals", ()))
@@ -211,6 +207,12 @@ class UserFile:
         Raises:
             UserFileError: the equations are other ones a period later.
         """
+        asked = repr(given := (parameters, of_lanes, in_periods))  # numbers to the bit, with their types
+        if len(self._flows) >= _MOST_FLOWS:
+            self._flows.clear()
+        return self._flows.get(asked) or self._flows.setdefault(asked, self._make_flow(*given))
+
+    def _make_flow(self, parameters: Mapping[str, float], of_lanes: tuple[str, ...], in_periods: bool) -> UserFlow:
         self._check_period(parameters)
         define = self.define if self.discrete else self._with_switches
         define = self._over_period if in_periods else define

@@ -28,3 +28,12 @@ def session_of(experiment: Experiment) -> Session:
     found = Session(experiment)
     found._lanes = lanes_with_kept_programs(found._progress)
     return found
+
+
+class FewLanes(LaneExecutor):
+    """Lanes in small tiles, but for fields at the many points of paths, which one call takes in tiles of their own."""
+
+    _MANY = 256
+
+    def _tile(self, shared: tuple[Any, ...], count: int, tile: int | None) -> int:
+        return tile if tile and tile >= self._MANY else super()._tile(shared, count, tile)
