@@ -23,11 +23,15 @@ from scipy.optimize import brentq
 
 import jaxnh
 from jaxnh.analyses.registry import ANALYSES
+from jaxnh.config.yaml_source import from_text
+from jaxnh.engine.accuracy import cost_model
 from jaxnh.engine.executor import programs
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow
+from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.straight_pieces import equations_within
+from jaxnh.systems.user_file import UserFile
 from tests.flows import constrained_oscillators, known_maps, moebius, paper_equations
 from tests.flows.moebius import TURN
 from tests.helpers import contract, taylor
@@ -51,7 +55,7 @@ OPTIONS = {
     "curves": {"max_period": 2, "transient": 64, "n_values": 1},
     "homoclinic": {"box": {"u": (-1.0, 1.0)}},
     "atlas": {"max_period": 2, "transient": 64, "n_values": 2, "levels": 0},
-    "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
+    "basins": {"transient": 32, "max_periods": 128, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
     "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256, "averages": True},
     "covariant": {"transient": 64, "strobes": 256},
@@ -77,7 +81,7 @@ OPTIONS = {
         "box": {"u": (-0.5, 0.5)},
         "n_starts": 4,
         "transient": 32,
-        "max_periods": 256,
+        "max_periods": 128,
         "max_period": 2,
         "directions": 2,
         "shock_points": 1,
@@ -682,23 +686,23 @@ def particle(names, rates=paper_equations.at_speed):
 
 
 KINDS = {
-    "a right-hand side with a clock": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS, MOEBIUS, moebius.MOEBIUS
-    ),
-    "a map": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.6, stop: 0.6, count: 4}}",
+    "a right-hand side on a section": Kind(
+        SPACE + SECTION,
         MOEBIUS
-        | dict.fromkeys(("poincare", "diagram"), iterates_of(cubic, ("u", "v")))
-        | {
-            "homoclinic": "collocation is of flows, and this is a map",
-            "portrait": "a map has nothing between its iterates",
-            "reversal": "a map is not followed backwards",
-            "lyapunov": exponents(cubic_exponents),
-            "covariant": exponents(cubic_exponents),
-            "manifolds": saddles(lambda values: (np.where(values["mu"] > 0, 1 + values["mu"], np.nan), np.nan)),
-        },
-        known_maps.CUBIC,
-        UNSTABLE_ALONE,
+        | IN_SPACE
+        | {"verdict": words("limit_cycle"), "basins": one_attractor, "homoclinic": SADDLES_OVER_ONE.format("mu")}
+        | {"period": moebius_phase},
+        moebius.MOEBIUS_IN_SPACE,
+        starts_between("x", 1.2, 1.4) | {"period": OPTIONS["period"] | {"phase_response": 4}},
+    ),
+    "a right-hand side in time": Kind(
+        SPACE,
+        {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
+        | {"verdict": WITHOUT_SECTION.format("period")}
+        | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
+        | {"transport": stays, "edges": no_edges(1, "one_attractor"), "homoclinic": SADDLES_OVER_ONE.format("mu")},
+        moebius.MOEBIUS_IN_SPACE,
+        starts_between("x", 1.2, 1.4),
     ),
     "steps of a lane's own": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 160}",
@@ -718,68 +722,6 @@ KINDS = {
         moebius.MOEBIUS_WITH_JUMPS,
         UNSTABLE_ALONE,
     ),
-    "two axes": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
-        "nu: {values: [-0.02, 0.02]}}\n" + STEPS,
-        MOEBIUS
-        | {
-            "doubling": doubling("mu", lambda data: data["nu"].to_numpy()),
-            "windows": "windows are looked for along one axis; leave out nu",
-            "branches": "branches are followed along one axis; leave out nu",
-            "curves": straight_curves,
-            "atlas": linked_curve,
-        },
-        moebius.MOEBIUS,
-        {"curves": OPTIONS["curves"] | {"maximum": {"u": 0.3}}},
-    ),
-    "a shared axis": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {omega: {values: [1.0, 2.0]}, "
-        "mu: {values: [-0.2, 0.2]}}\n" + STEPS,
-        MOEBIUS
-        | {
-            "basins": one_attractor,
-            "doubling": none_found,
-            "windows": "windows are looked for along one axis; leave out mu",
-            "branches": "branches are followed along one axis; leave out mu",
-            "curves": no_curve,
-            "atlas": nothing_along_rows,
-        },
-        moebius.MOEBIUS,
-    ),
-    "a start axis": Kind(
-        "system: {file: FILE, mu: 0.2}\ninitial: {v: 0.1}\nsweep: {u: {values: [-0.3, 0.2, 0.6]}}\n" + STEPS,
-        MOEBIUS
-        | dict.fromkeys(
-            ("portrait", "poincare", "diagram"), follows(functools.partial(moebius.moebius, mu=0.2), ("u", "v"))
-        )
-        | {
-            "basins": one_attractor,
-            "period": periods(lambda values: 2),
-            "rotation": rotation(lambda values: 2),
-            "lyapunov": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
-            "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
-            "covariant": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
-            **dict.fromkeys(
-                ("transients", "manifolds", "edges"), "random starts and the axis u of start states exclude each other"
-            ),
-            "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
-            "windows": "u is a coordinate of the start state",
-            "branches": "u is a coordinate of the start state",
-            "curves": ONE_PARAMETER.format("u"),
-            "atlas": ONE_PARAMETER.format("u"),
-            "homoclinic": NO_EQUILIBRIA,
-        },
-        moebius.MOEBIUS,
-    ),
-    "a right-hand side on a section": Kind(
-        SPACE + SECTION,
-        MOEBIUS
-        | IN_SPACE
-        | {"verdict": words("limit_cycle"), "basins": one_attractor, "homoclinic": SADDLES_OVER_ONE.format("mu")}
-        | {"period": moebius_phase},
-        moebius.MOEBIUS_IN_SPACE,
-        starts_between("x", 1.2, 1.4) | {"period": OPTIONS["period"] | {"phase_response": 4}},
-    ),
     "a right-hand side with jumps on a section": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1, clock: 0.5}\nsweep: {"
         + MU
@@ -797,15 +739,6 @@ KINDS = {
             "manifolds": "motions with jumps or switches are not followed backwards; stable manifolds need that",
         },
         moebius.MOEBIUS_WITH_JUMPS_IN_TIME,
-    ),
-    "a right-hand side in time": Kind(
-        SPACE,
-        {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
-        | {"verdict": WITHOUT_SECTION.format("period")}
-        | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
-        | {"transport": stays, "edges": no_edges(1, "one_attractor"), "homoclinic": SADDLES_OVER_ONE.format("mu")},
-        moebius.MOEBIUS_IN_SPACE,
-        starts_between("x", 1.2, 1.4),
     ),
     "T, Q, f with a constraint that is eliminated": Kind(
         "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: -0.045}\n"
@@ -995,6 +928,77 @@ KINDS = {
         particle(("x1", "y1", "x2", "y2")),
         options=starts_between("x1", 0.0, 0.2),
     ),
+    "two axes": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
+        "nu: {values: [-0.02, 0.02]}}\n" + STEPS,
+        MOEBIUS
+        | {
+            "doubling": doubling("mu", lambda data: data["nu"].to_numpy()),
+            "windows": "windows are looked for along one axis; leave out nu",
+            "branches": "branches are followed along one axis; leave out nu",
+            "curves": straight_curves,
+            "atlas": linked_curve,
+        },
+        moebius.MOEBIUS,
+        {"curves": OPTIONS["curves"] | {"maximum": {"u": 0.3}}},
+    ),
+    "a shared axis": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {omega: {values: [1.0, 2.0]}, "
+        "mu: {values: [-0.2, 0.2]}}\n" + STEPS,
+        MOEBIUS
+        | {
+            "basins": one_attractor,
+            "doubling": none_found,
+            "windows": "windows are looked for along one axis; leave out mu",
+            "branches": "branches are followed along one axis; leave out mu",
+            "curves": no_curve,
+            "atlas": nothing_along_rows,
+        },
+        moebius.MOEBIUS,
+    ),
+    "a right-hand side with a clock": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS, MOEBIUS, moebius.MOEBIUS
+    ),
+    "a start axis": Kind(
+        "system: {file: FILE, mu: 0.2}\ninitial: {v: 0.1}\nsweep: {u: {values: [-0.3, 0.2, 0.6]}}\n" + STEPS,
+        MOEBIUS
+        | dict.fromkeys(
+            ("portrait", "poincare", "diagram"), follows(functools.partial(moebius.moebius, mu=0.2), ("u", "v"))
+        )
+        | {
+            "basins": one_attractor,
+            "period": periods(lambda values: 2),
+            "rotation": rotation(lambda values: 2),
+            "lyapunov": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
+            "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
+            "covariant": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
+            **dict.fromkeys(
+                ("transients", "manifolds", "edges"), "random starts and the axis u of start states exclude each other"
+            ),
+            "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
+            "windows": "u is a coordinate of the start state",
+            "branches": "u is a coordinate of the start state",
+            "curves": ONE_PARAMETER.format("u"),
+            "atlas": ONE_PARAMETER.format("u"),
+            "homoclinic": NO_EQUILIBRIA,
+        },
+        moebius.MOEBIUS,
+    ),
+    "a map": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.6, stop: 0.6, count: 4}}",
+        MOEBIUS
+        | dict.fromkeys(("poincare", "diagram"), iterates_of(cubic, ("u", "v")))
+        | {
+            "homoclinic": "collocation is of flows, and this is a map",
+            "portrait": "a map has nothing between its iterates",
+            "reversal": "a map is not followed backwards",
+            "lyapunov": exponents(cubic_exponents),
+            "covariant": exponents(cubic_exponents),
+            "manifolds": saddles(lambda values: (np.where(values["mu"] > 0, 1 + values["mu"], np.nan), np.nan)),
+        },
+        known_maps.CUBIC,
+        UNSTABLE_ALONE,
+    ),
 }
 
 DRAWN = ("a right-hand side with a clock", "two axes", "a start axis")
@@ -1021,17 +1025,19 @@ BROTHERS = {
 @functools.cache
 def session(kind):
     """A session of a kind, whose steps are loops over stages and whose tiles are small."""
-    config = KINDS[kind].config.replace("FILE", str(written(kind))) + "\nanalyses: {lyapunov: {}}"
-    made = session_of(Experiment.from_text(config))
+    file = user_file(KINDS[kind].file) if KINDS[kind].file else None
+    config = KINDS[kind].config.replace("FILE", str(file and file.path)) + "\nanalyses: {lyapunov: {}}"
+    made = session_of(Experiment.from_content(from_text(config).data, file))
     made._lanes = FewLanes(None, made._lanes.devices[:1], 8, QUICKLY_COMPILED)
     return made
 
 
-def written(kind):
-    """The user's file of a kind, in a folder that goes with the run."""
-    path = FOLDER / f"{abs(hash(KINDS[kind].file)):x}.py"
-    path.write_text(KINDS[kind].file)
-    return path
+@functools.cache
+def user_file(text):
+    """A user's file, in a folder that goes with the run; kinds of one file have its flows and programs in common."""
+    path = FOLDER / f"{abs(hash(text)):x}.py"
+    path.write_text(text)
+    return UserFile(path)
 
 
 def test_a_group_that_breaks_the_contract():
@@ -1065,8 +1071,13 @@ def groups_of(kind, analysis):
         asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs}
     axis = session(kind).experiment.axes[0]
     few = {axis.name: axis.values[[0, -1]]} if {analysis, *asked[analysis]} & {*BY_LANE} else {}
-    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
+    with mock.patch.object(general_flow, "_LARGEST_STEP", 0), mock.patch.object(cost_model, "quickest_form", looped):
         return session(kind).groups(asked, **few)
+
+
+def looped(solver, *_):
+    """The solver with its stages in a loop, however much there is to run: one program serves all analyses."""
+    return in_loop(solver)
 
 
 def drawn(data):
