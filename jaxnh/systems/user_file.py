@@ -81,8 +81,8 @@ _PROBES = 16  # random states and times at which equations are held against them
 _ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
 _MOST_FLOWS = 256  # flows kept, at most: a session asks for the same ones again and again
-_RETURNED = dict.fromkeys(("map", "rhs", "rates", "Q"), "a number a coordinate")
-_RETURNED |= {"T": "a number", "f": "a number a constraint"}
+_RETURNED = {"T": "a number", "f": "a number a constraint"}
+_RETURNED |= dict.fromkeys(("map", "rhs", "rates", "Q"), "a number a coordinate")
 
 
 UserFlow = Lagrangian | FirstOrder | DiscreteMap
