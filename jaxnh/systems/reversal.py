@@ -26,13 +26,10 @@ from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.level import off_level
 from jaxnh.systems.state import Number, State, Vector, error_components
-from jaxnh.systems.user_functions import components_of, pointwise
+from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL, components_of, pointwise
 
 EXACT = 1e-9
 """Largest violation of an identity of the field, relative to the largest rate, that rounding is taken for."""
-
-COMPILED_FOR_ONE_CALL = {"xla_backend_optimization_level": 0}
-"""Options of XLA for programs that run once, on few numbers: most of their time is LLVM's."""
 
 _PROBES = 24  # random states and times at which the field is held against that of the images
 _MOST_SIGNS = 8  # coordinates of which all changes of signs are tried

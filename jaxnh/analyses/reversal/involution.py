@@ -14,7 +14,6 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.section import Crossing, Section, System
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.reversal import (
-    COMPILED_FOR_ONE_CALL,
     EXACT,
     Reversal,
     declared_reversal,
@@ -27,6 +26,7 @@ from jaxnh.systems.reversal import (
     violations,
 )
 from jaxnh.systems.state import State, Vector
+from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 
 NONE, _DECLARED, _FIRST = 0, 1, 2  # numbers of reversals: none, the system's own, and from here on the changes of signs
 _ON_SECTION = 16  # random points of a section of which the images are to be on it
