@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
+import jax
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -22,15 +23,19 @@ from scipy.optimize import brentq
 
 import jaxnh
 from jaxnh.analyses.registry import ANALYSES
+from jaxnh.config.yaml_source import from_text
+from jaxnh.engine.accuracy import cost_model
 from jaxnh.engine.executor import programs
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow
+from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.straight_pieces import equations_within
+from jaxnh.systems.user_file import UserFile
 from tests.flows import constrained_oscillators, known_maps, moebius, paper_equations
 from tests.flows.moebius import TURN
 from tests.helpers import contract, taylor
-from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
+from tests.helpers.kept_programs import QUICKLY_COMPILED, FewLanes, session_of
 
 pytestmark = pytest.mark.usefixtures("uncalibrated")
 UNSAID = ("mu", "nu")
@@ -47,10 +52,10 @@ OPTIONS = {
     "doubling": {"levels": 1},
     "windows": {"max_period": 2, "levels": 1, "crisis": 0, "transient": 64},
     "branches": {"max_period": 2, "transient": 64},
-    "curves": {"max_period": 2, "transient": 64},
+    "curves": {"max_period": 2, "transient": 64, "n_values": 1},
     "homoclinic": {"box": {"u": (-1.0, 1.0)}},
     "atlas": {"max_period": 2, "transient": 64, "n_values": 2, "levels": 0},
-    "basins": {"transient": 32, "max_periods": 256, "max_period": 2},
+    "basins": {"transient": 32, "max_periods": 128, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
     "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256, "averages": True},
     "covariant": {"transient": 64, "strobes": 256},
@@ -76,32 +81,40 @@ OPTIONS = {
         "box": {"u": (-0.5, 0.5)},
         "n_starts": 4,
         "transient": 32,
-        "max_periods": 256,
+        "max_periods": 128,
         "max_period": 2,
         "directions": 2,
         "shock_points": 1,
         "reach": 0.25,
     },
 }
-BY_LANE = ("edges", "orbits")  # lanes one by one, or so many points of each: of the first axis the ends alone
+BY_LANE = ("edges", "orbits", "phase_response")
+"""Analyses, or options, that take lanes one by one, or so many points of each: of the first axis the ends alone."""
 UNSTABLE_ALONE = {"manifolds": OPTIONS["manifolds"] | {"kind": "unstable"}}
 
 
 @pytest.fixture(autouse=True, scope="module")
 def lowered_for_cuda_too():
-    """Lower programs for CUDA as well, on any machine: in float64, by no call of the host or of a CPU's library.
+    """Lower operations for CUDA as well, on any machine: in float64, by no call of the host or of a CPU's library.
 
-    Rules of lowering are those of operations on types of numbers: a program that has none that is new is as those before.
+    Rules of lowering are those of operations on types of numbers, so that each is lowered by itself, once. Of loops,
+    branches and calls, whose operations are looked at one by one, one program each is lowered as it is.
     """
     seen = set()
 
     def lower(traced):
         outer = traced.jaxpr.jaxpr.eqns
-        equations = [inner for equation in outer for inner in (equation, *equations_within(equation))]
-        operations = {(e.primitive.name, *(str(v.aval.dtype) for v in (*e.invars, *e.outvars))) for e in equations}
-        if not operations <= seen:
-            seen.update(operations)
-            text = traced.lower(lowering_platforms=("cuda",)).as_text()
+        new = {}
+        for equation in (inner for each in outer for inner in (each, *equations_within(each))):
+            types = [v.aval.dtype for v in (*equation.invars, *equation.outvars)]
+            calls = next(equations_within(equation), None) is not None
+            new.setdefault((equation.primitive.name, *(() if calls else types)), (calls, equation))
+        new = {key: one for key, one in new.items() if key not in seen}
+        if new:
+            seen.update(new)
+            alone = [] if any(calls for calls, _ in new.values()) else [one for _, one in new.values()]
+            lowered = jax.jit(evaluate_each(alone)).trace(*map(operands, alone)) if alone else traced
+            text = lowered.lower(lowering_platforms=("cuda",)).as_text()
             assert "callback" not in text
             assert {call[:2] for call in re.findall(r"custom_call @(\w+)", text)} <= {"cu"}  # cuSOLVER and the like
             assert not re.search(r"\b(f32|f16|bf16)\b", text)
@@ -109,6 +122,20 @@ def lowered_for_cuda_too():
 
     with mock.patch.object(programs, "_lower", lower):
         yield
+
+
+def operands(equation):
+    """Shapes and types of what an equation reads."""
+    return [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars]
+
+
+def evaluate_each(equations):
+    """A function of the operands of equations, each by itself."""
+
+    def evaluate(*given):
+        return [each.primitive.bind(*one, **each.params) for each, one in zip(equations, given, strict=True)]
+
+    return evaluate
 
 
 def starts_between(name, low, high):
@@ -659,23 +686,23 @@ def particle(names, rates=paper_equations.at_speed):
 
 
 KINDS = {
-    "a right-hand side with a clock": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS, MOEBIUS, moebius.MOEBIUS
-    ),
-    "a map": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.6, stop: 0.6, count: 4}}",
+    "a right-hand side on a section": Kind(
+        SPACE + SECTION,
         MOEBIUS
-        | dict.fromkeys(("poincare", "diagram"), iterates_of(cubic, ("u", "v")))
-        | {
-            "homoclinic": "collocation is of flows, and this is a map",
-            "portrait": "a map has nothing between its iterates",
-            "reversal": "a map is not followed backwards",
-            "lyapunov": exponents(cubic_exponents),
-            "covariant": exponents(cubic_exponents),
-            "manifolds": saddles(lambda values: (np.where(values["mu"] > 0, 1 + values["mu"], np.nan), np.nan)),
-        },
-        known_maps.CUBIC,
-        UNSTABLE_ALONE,
+        | IN_SPACE
+        | {"verdict": words("limit_cycle"), "basins": one_attractor, "homoclinic": SADDLES_OVER_ONE.format("mu")}
+        | {"period": moebius_phase},
+        moebius.MOEBIUS_IN_SPACE,
+        starts_between("x", 1.2, 1.4) | {"period": OPTIONS["period"] | {"phase_response": 4}},
+    ),
+    "a right-hand side in time": Kind(
+        SPACE,
+        {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
+        | {"verdict": WITHOUT_SECTION.format("period")}
+        | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
+        | {"transport": stays, "edges": no_edges(1, "one_attractor"), "homoclinic": SADDLES_OVER_ONE.format("mu")},
+        moebius.MOEBIUS_IN_SPACE,
+        starts_between("x", 1.2, 1.4),
     ),
     "steps of a lane's own": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 160}",
@@ -695,68 +722,6 @@ KINDS = {
         moebius.MOEBIUS_WITH_JUMPS,
         UNSTABLE_ALONE,
     ),
-    "two axes": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
-        "nu: {values: [-0.02, 0.02]}}\n" + STEPS,
-        MOEBIUS
-        | {
-            "doubling": doubling("mu", lambda data: data["nu"].to_numpy()),
-            "windows": "windows are looked for along one axis; leave out nu",
-            "branches": "branches are followed along one axis; leave out nu",
-            "curves": straight_curves,
-            "atlas": linked_curve,
-        },
-        moebius.MOEBIUS,
-        {"curves": OPTIONS["curves"] | {"maximum": {"u": 0.3}}},
-    ),
-    "a shared axis": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {omega: {values: [1.0, 2.0]}, "
-        "mu: {values: [-0.2, 0.2]}}\n" + STEPS,
-        MOEBIUS
-        | {
-            "basins": one_attractor,
-            "doubling": none_found,
-            "windows": "windows are looked for along one axis; leave out mu",
-            "branches": "branches are followed along one axis; leave out mu",
-            "curves": no_curve,
-            "atlas": nothing_along_rows,
-        },
-        moebius.MOEBIUS,
-    ),
-    "a start axis": Kind(
-        "system: {file: FILE, mu: 0.2}\ninitial: {v: 0.1}\nsweep: {u: {values: [-0.3, 0.2, 0.6]}}\n" + STEPS,
-        MOEBIUS
-        | dict.fromkeys(
-            ("portrait", "poincare", "diagram"), follows(functools.partial(moebius.moebius, mu=0.2), ("u", "v"))
-        )
-        | {
-            "basins": one_attractor,
-            "period": periods(lambda values: 2),
-            "rotation": rotation(lambda values: 2),
-            "lyapunov": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
-            "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
-            "covariant": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
-            **dict.fromkeys(
-                ("transients", "manifolds", "edges"), "random starts and the axis u of start states exclude each other"
-            ),
-            "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
-            "windows": "u is a coordinate of the start state",
-            "branches": "u is a coordinate of the start state",
-            "curves": ONE_PARAMETER.format("u"),
-            "atlas": ONE_PARAMETER.format("u"),
-            "homoclinic": NO_EQUILIBRIA,
-        },
-        moebius.MOEBIUS,
-    ),
-    "a right-hand side on a section": Kind(
-        SPACE + SECTION,
-        MOEBIUS
-        | IN_SPACE
-        | {"verdict": words("limit_cycle"), "basins": one_attractor, "homoclinic": SADDLES_OVER_ONE.format("mu")}
-        | {"period": moebius_phase},
-        moebius.MOEBIUS_IN_SPACE,
-        starts_between("x", 1.2, 1.4) | {"period": OPTIONS["period"] | {"phase_response": 4}},
-    ),
     "a right-hand side with jumps on a section": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1, clock: 0.5}\nsweep: {"
         + MU
@@ -774,15 +739,6 @@ KINDS = {
             "manifolds": "motions with jumps or switches are not followed backwards; stable manifolds need that",
         },
         moebius.MOEBIUS_WITH_JUMPS_IN_TIME,
-    ),
-    "a right-hand side in time": Kind(
-        SPACE,
-        {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
-        | {"verdict": WITHOUT_SECTION.format("period")}
-        | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
-        | {"transport": stays, "edges": no_edges(1, "one_attractor"), "homoclinic": SADDLES_OVER_ONE.format("mu")},
-        moebius.MOEBIUS_IN_SPACE,
-        starts_between("x", 1.2, 1.4),
     ),
     "T, Q, f with a constraint that is eliminated": Kind(
         "system: {file: FILE}\ninitial: {x: 0.5, x_dot: 0.1, y_dot: -0.045}\n"
@@ -972,7 +928,81 @@ KINDS = {
         particle(("x1", "y1", "x2", "y2")),
         options=starts_between("x1", 0.0, 0.2),
     ),
+    "two axes": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.2, stop: 0.2, count: 4}, "
+        "nu: {values: [-0.02, 0.02]}}\n" + STEPS,
+        MOEBIUS
+        | {
+            "doubling": doubling("mu", lambda data: data["nu"].to_numpy()),
+            "windows": "windows are looked for along one axis; leave out nu",
+            "branches": "branches are followed along one axis; leave out nu",
+            "curves": straight_curves,
+            "atlas": linked_curve,
+        },
+        moebius.MOEBIUS,
+        {"curves": OPTIONS["curves"] | {"maximum": {"u": 0.3}}},
+    ),
+    "a shared axis": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {omega: {values: [1.0, 2.0]}, "
+        "mu: {values: [-0.2, 0.2]}}\n" + STEPS,
+        MOEBIUS
+        | {
+            "basins": one_attractor,
+            "doubling": none_found,
+            "windows": "windows are looked for along one axis; leave out mu",
+            "branches": "branches are followed along one axis; leave out mu",
+            "curves": no_curve,
+            "atlas": nothing_along_rows,
+        },
+        moebius.MOEBIUS,
+    ),
+    "a right-hand side with a clock": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS, MOEBIUS, moebius.MOEBIUS
+    ),
+    "a start axis": Kind(
+        "system: {file: FILE, mu: 0.2}\ninitial: {v: 0.1}\nsweep: {u: {values: [-0.3, 0.2, 0.6]}}\n" + STEPS,
+        MOEBIUS
+        | dict.fromkeys(
+            ("portrait", "poincare", "diagram"), follows(functools.partial(moebius.moebius, mu=0.2), ("u", "v"))
+        )
+        | {
+            "basins": one_attractor,
+            "period": periods(lambda values: 2),
+            "rotation": rotation(lambda values: 2),
+            "lyapunov": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
+            "orbits": orbit_numbers(lambda values: (1, 1 + 0 * values["start_u"])),
+            "covariant": exponents(lambda values: (-0.4 + 0 * values["start_u"], -1.0)),
+            **dict.fromkeys(
+                ("transients", "manifolds", "edges"), "random starts and the axis u of start states exclude each other"
+            ),
+            "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
+            "windows": "u is a coordinate of the start state",
+            "branches": "u is a coordinate of the start state",
+            "curves": ONE_PARAMETER.format("u"),
+            "atlas": ONE_PARAMETER.format("u"),
+            "homoclinic": NO_EQUILIBRIA,
+        },
+        moebius.MOEBIUS,
+    ),
+    "a map": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {mu: {start: -0.6, stop: 0.6, count: 4}}",
+        MOEBIUS
+        | dict.fromkeys(("poincare", "diagram"), iterates_of(cubic, ("u", "v")))
+        | {
+            "homoclinic": "collocation is of flows, and this is a map",
+            "portrait": "a map has nothing between its iterates",
+            "reversal": "a map is not followed backwards",
+            "lyapunov": exponents(cubic_exponents),
+            "covariant": exponents(cubic_exponents),
+            "manifolds": saddles(lambda values: (np.where(values["mu"] > 0, 1 + values["mu"], np.nan), np.nan)),
+        },
+        known_maps.CUBIC,
+        UNSTABLE_ALONE,
+    ),
 }
+
+DRAWN = ("a right-hand side with a clock", "two axes", "a start axis")
+"""Kinds whose groups are drawn as well."""
 
 DEAR = ("basins", "orbits", "covariant", "edges")
 BROTHERS = {
@@ -995,17 +1025,19 @@ BROTHERS = {
 @functools.cache
 def session(kind):
     """A session of a kind, whose steps are loops over stages and whose tiles are small."""
-    config = KINDS[kind].config.replace("FILE", str(written(kind))) + "\nanalyses: {lyapunov: {}}"
-    made = session_of(Experiment.from_text(config))
-    made._lanes = lanes_with_kept_programs(None, made._lanes.devices[:1], 8, QUICKLY_COMPILED)
+    file = user_file(KINDS[kind].file) if KINDS[kind].file else None
+    config = KINDS[kind].config.replace("FILE", str(file and file.path)) + "\nanalyses: {lyapunov: {}}"
+    made = session_of(Experiment.from_content(from_text(config).data, file))
+    made._lanes = FewLanes(None, made._lanes.devices[:1], 8, QUICKLY_COMPILED)
     return made
 
 
-def written(kind):
-    """The user's file of a kind, in a folder that goes with the run."""
-    path = FOLDER / f"{abs(hash(KINDS[kind].file)):x}.py"
-    path.write_text(KINDS[kind].file)
-    return path
+@functools.cache
+def user_file(text):
+    """A user's file, in a folder that goes with the run; kinds of one file have its flows and programs in common."""
+    path = FOLDER / f"{abs(hash(text)):x}.py"
+    path.write_text(text)
+    return UserFile(path)
 
 
 def test_a_group_that_breaks_the_contract():
@@ -1038,9 +1070,14 @@ def groups_of(kind, analysis):
     if analysis == "verdict":
         asked |= {name: OPTIONS[name] for name in ANALYSES["verdict"].options.needs}
     axis = session(kind).experiment.axes[0]
-    few = {axis.name: axis.values[[0, -1]]} if analysis in BY_LANE else {}
-    with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
+    few = {axis.name: axis.values[[0, -1]]} if {analysis, *asked[analysis]} & {*BY_LANE} else {}
+    with mock.patch.object(general_flow, "_LARGEST_STEP", 0), mock.patch.object(cost_model, "quickest_form", looped):
         return session(kind).groups(asked, **few)
+
+
+def looped(solver, *_):
+    """The solver with its stages in a loop, however much there is to run: one program serves all analyses."""
+    return in_loop(solver)
 
 
 def drawn(data):
@@ -1051,19 +1088,14 @@ def drawn(data):
         return str(error)
 
 
-@pytest.mark.parametrize("kind", ["a right-hand side with a clock", "two axes", "a start axis"])
-@pytest.mark.parametrize("analysis", ANALYSES)
-def test_figures_need_no_attributes(kind, analysis):
+def is_drawn_without_attributes(data):
     """A group without attributes is drawn with as many lines and areas, or what it lacks is said in words."""
-    if isinstance(KINDS[kind].known[analysis], str):
-        return
-    for data in groups_of(kind, analysis).values():
-        whole, bare = drawn(data), drawn(data.drop_attrs())
-        if isinstance(bare, str) and bare != whole:
-            assert "has no flag_meanings, the words of its numbers" in bare
-            assert set(data) & {"kind", "criticality", "begin_kind"}
-        else:
-            assert bare == whole
+    whole, bare = drawn(data), drawn(data.drop_attrs())
+    if isinstance(bare, str) and bare != whole:
+        assert "has no flag_meanings, the words of its numbers" in bare
+        assert set(data) & {"kind", "criticality", "begin_kind"}
+    else:
+        assert bare == whole
 
 
 @pytest.mark.parametrize(("kind", "brothers"), BROTHERS.items())
@@ -1097,3 +1129,5 @@ def test_every_analysis(kind, analysis):
     for name, group in groups.items():
         contract.check(name, group, [key for key, unit in units.items() if not unit])
     known(groups[analysis], groups)
+    for group in groups.values() if kind in DRAWN else ():
+        is_drawn_without_attributes(group)

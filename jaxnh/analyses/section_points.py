@@ -19,6 +19,8 @@ def points_at(
     batch: LaneBatch, lanes: LaneRunner, state: State, tile: int | None = None
 ) -> Float[np.ndarray, "lanes ... d"]:
     """Return the section coordinates of states, components (lanes,) or (lanes, points)."""
+    if not any(batch.system.chart.angles):  # they are components of the states as they are: no program is needed
+        return batch.system.chart.host_points(state)
     function = _points_of if np.ndim(jax.tree.leaves(state)[0]) > 1 else _point_of
     return np.array(lanes(function, (batch.system,), (state,), tile=tile))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -10,6 +11,7 @@ from typing import NamedTuple
 from jaxnh import __version__
 
 _LIBRARIES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "h5py")
+_version_of = functools.cache(version)  # read from files
 
 
 class SecondsSpent(NamedTuple):
@@ -38,4 +40,4 @@ class Provenance:
 
 def versions() -> dict[str, str]:
     """Versions of the package, under the name jaxnh, and of the libraries that the numbers rest on."""
-    return {"jaxnh": __version__, **{name: version(name) for name in _LIBRARIES}}
+    return {"jaxnh": __version__, **{name: _version_of(name) for name in _LIBRARIES}}

@@ -26,7 +26,7 @@ from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.level import off_level
 from jaxnh.systems.state import Number, State, Vector, error_components
-from jaxnh.systems.user_functions import components_of, pointwise
+from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL, components_of, pointwise
 
 EXACT = 1e-9
 """Largest violation of an identity of the field, relative to the largest rate, that rounding is taken for."""
@@ -187,20 +187,25 @@ def random_places(flow: Flow) -> tuple[np.ndarray, np.ndarray]:
 
 def violation(flow: Flow, reversal: Reversal, places: tuple[ArrayLike, ArrayLike], p: Parameters) -> Array:
     """Return the largest violation of the identities over places, relative to the rates; inf where few are finite."""
+    return _probed(flow, reversal, places, p)[1]
+
+
+def _probed(flow: Flow, reversal: Reversal, places: tuple[ArrayLike, ArrayLike], p: Parameters) -> tuple[Probe, Array]:
+    """Return the probes at all places, and the largest violation."""
     probes = jax.vmap(lambda u, t: probe(flow, reversal, u, t, p))(*places)
     fine = jnp.isfinite(probes.gap + probes.strayed)
     largest = jnp.max(jnp.where(fine[:, None], jnp.abs(probes.image_of_rate), 0.0))
     gap = jnp.max(jnp.where(fine, probes.gap, 0.0)) / jnp.where(largest > 0.0, largest, 1.0)
     worst = jnp.maximum(gap, jnp.max(jnp.where(fine, probes.strayed, 0.0)))
-    return jnp.where(jnp.sum(fine) >= _PROBES // 2, worst, jnp.inf)
+    return probes, jnp.where(jnp.sum(fine) >= _PROBES // 2, worst, jnp.inf)
 
 
 def violations(flow: Flow, reversals: Reversal, p: Parameters) -> Float[np.ndarray, " reversals"]:
     """Return the largest violation of each of some reversals, whose signs and instants are (reversals,) each."""
-    return np.asarray(_violation_of_each(flow, reversals, random_places(flow), dict(p)))
+    return np.asarray(_probe_each(flow, reversals, random_places(flow), dict(p))[1])
 
 
-_violation_of_each = jax.jit(jax.vmap(violation, in_axes=(None, 0, None, None)))
+_probe_each = jax.jit(jax.vmap(_probed, in_axes=(None, 0, None, None)), compiler_options=COMPILED_FOR_ONE_CALL)
 
 
 def sign_changes(flow: Flow) -> Reversal | None:
@@ -229,13 +234,13 @@ def describe_reversal(flow: Flow, reversal: Reversal) -> str:
     return ", ".join([*moved, f"t -> {time}"])
 
 
-def describe_violation(flow: Flow, reversal: Reversal, p: Parameters) -> str:
-    """Return the place where a reversal fails most, and both values there."""
-    u, t = random_places(flow)
-    probes = jax.vmap(lambda u, t: probe(flow, reversal, u, t, p))(u, t)
-    worst = np.asarray(jnp.where(jnp.isfinite(probes.gap + probes.strayed), probes.gap + probes.strayed, -1.0))
+def describe_violation(flow: Flow, reversals: Reversal, number: int, p: Parameters) -> str:
+    """Return the place where one of some reversals, as of `violations`, fails most, and both values there."""
+    of_each, _ = _probe_each(flow, reversals, random_places(flow), dict(p))
+    probes = jax.tree.map(lambda leaf: np.asarray(leaf)[number], of_each)
+    worst = np.where(np.isfinite(probes.gap + probes.strayed), probes.gap + probes.strayed, -1.0)
     at = int(np.argmax(worst))
-    here = jax.tree.map(lambda leaf: np.asarray(leaf)[at], probes)
+    here = jax.tree.map(lambda leaf: leaf[at], probes)
     if not worst[at] >= 0.0:
         return "the field is finite at none of some random states"
     names = _component_names(flow)

@@ -62,6 +62,7 @@ from jaxnh.systems.switched_mechanics import switched_mechanics
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_functions import (
+    COMPILED_FOR_ONE_CALL,
     EVENTS,
     FUNCTIONS,
     EventFault,
@@ -80,14 +81,8 @@ _OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a nu
 _PROBES = 16  # random states and times at which equations are held against themselves a period later
 _ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
-_RETURNED = {
-    "T": "a number",
-    "map": "a number a coordinate",
-    "rhs": "a number a coordinate",
-    "rates": "a number a coordinate",
-    "Q": "a number a coordinate",
-    "f": "a number a constraint",
-}
+_MOST_FLOWS = 256  # flows kept, at most: a session asks for the same ones again and again
+_RETURNED = dict.fromkeys(_OF_COMPONENTS, "a number a coordinate") | {"T": "a number", "f": "a number a constraint"}
 
 
 UserFlow = Lagrangian | FirstOrder | DiscreteMap
@@ -123,7 +118,7 @@ class UserFile:
         self._define = self._function()
         self.parameters = self._defaults()
         self._periodic: set[tuple[float, ...]] = set()  # parameters at which the equations were seen to have the period
-        self._periods: dict[tuple[tuple[str, float], ...], float] = {}
+        self._periods, self._flows = dict[tuple[tuple[str, float], ...], float](), dict[str, UserFlow]()
         definition = self.define(**self.parameters)
         self.coordinates: tuple[str, ...] = tuple(definition["coordinates"])
         self.states, self.integrals = states_in(definition), tuple(definition.get("integrals", ()))
@@ -211,6 +206,12 @@ class UserFile:
         Raises:
             UserFileError: the equations are other ones a period later.
         """
+        asked = repr(given := (parameters, of_lanes, in_periods))  # numbers to the bit, with their types
+        if len(self._flows) >= _MOST_FLOWS:
+            self._flows.clear()
+        return self._flows.get(asked) or self._flows.setdefault(asked, self._make_flow(*given))
+
+    def _make_flow(self, parameters: Mapping[str, float], of_lanes: tuple[str, ...], in_periods: bool) -> UserFlow:
         self._check_period(parameters)
         define = self.define if self.discrete else self._with_switches
         define = self._over_period if in_periods else define
@@ -262,8 +263,9 @@ class UserFile:
             results = [function(*map(tuple, states), t) for function in functions.values()]
             return [jnp.stack(jax.tree.leaves(each)) for each in results]
 
+        both = jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)), compiler_options=COMPILED_FOR_ONE_CALL)
         with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
-            now, later = self._guarded(lambda: jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)))(t, states))
+            now, later = self._guarded(lambda: both(t, states))
         for name, one, other in zip(functions, map(np.asarray, now), map(np.asarray, later), strict=True):
             finite = np.isfinite(one) & np.isfinite(other)
             gap = np.abs(np.where(finite, one - other, 0.0))

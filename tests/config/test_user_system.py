@@ -323,6 +323,21 @@ def system(drive=0.5):
         UserFile(path)
 
 
+def test_a_flow_is_made_once_for_equal_numbers(tmp_path):
+    """Sessions ask for the same flow again and again; numbers are equal to the bit, and few flows are kept."""
+    path = tmp_path / "own.py"
+    path.write_text("def system(a=1.0, b=2.0): return dict(rhs=lambda y, t: b / a - y[0], coordinates='x')\n")
+    file = UserFile(path)
+    first = file.flow({"a": 0.0, "b": 2.0})
+    assert file.flow({"a": 0.0, "b": 2.0}) is first
+    assert np.signbit(file.flow({"a": -0.0, "b": 2.0}).parameters["a"])
+    assert file.flow({"a": 0.0, "b": 2.0}, ("b",)).lane_parameters == ("b",)
+    assert file.flow({"a": 0.0, "b": 2.0}).lane_parameters == ()
+    for a in range(300):
+        assert file.flow({"a": float(a), "b": 2.0}).parameters["a"] == a
+    assert len(file._flows) <= 256
+
+
 CONFIG_FAULTS = {
     "off the constraint": (("x1_dot: 0.1,", "x1_dot: 0.2,"), ":2: initial.x1_dot: f[0] is 0.03 at the start with b = 5.3"),
     "unknown coordinate": (("x1: 0.1", "z: 0.1"), ":2: initial.z: unknown key"),

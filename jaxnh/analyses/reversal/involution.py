@@ -26,6 +26,7 @@ from jaxnh.systems.reversal import (
     violations,
 )
 from jaxnh.systems.state import State, Vector
+from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 
 NONE, _DECLARED, _FIRST = 0, 1, 2  # numbers of reversals: none, the system's own, and from here on the changes of signs
 _ON_SECTION = 16  # random points of a section of which the images are to be on it
@@ -112,22 +113,26 @@ def _sample_lanes(batch: LaneBatch) -> list[dict[str, float]]:
 
 def _keep_section(system: System, candidates: Reversal, p: Parameters) -> Bool[np.ndarray, " reversals"]:
     """Return which reversals take a section to itself, in the same direction; without one all."""
-    count = len(candidates.instant)
     if not isinstance(system, Section):
-        return np.ones(count, bool)
-    points = jnp.asarray(np.random.default_rng(1).uniform(-1.0, 1.0, (_ON_SECTION, system.chart.dimension)))
+        return np.ones(len(candidates.instant), bool)
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (_ON_SECTION, system.chart.dimension))
+    return np.asarray(_keeps_each(system, candidates, points, dict(p)))
 
-    def keeps(reversal: Reversal) -> Array:
-        def at(u: Array) -> tuple[Array, Array]:
-            state = system.chart.state(u).state
-            image = reverse(system.flow, reversal.signs, state, p)
-            same = (system.direction == "both") | (system.rate(state, p) * system.rate(image, p) > 0.0)
-            return jnp.abs(system.height(image)), same
 
-        height, same = jax.vmap(at)(points)
-        return (jnp.max(height) <= EXACT * (1.0 + abs(system.value))) & jnp.all(same)
+def _keeps(system: Section, reversal: Reversal, points: Float[Array, "points d"], p: Parameters) -> Array:
+    """Return whether a reversal takes points of a section to it, in the same direction."""
 
-    return np.asarray(jax.jit(jax.vmap(keeps))(candidates))
+    def at(u: Array) -> tuple[Array, Array]:
+        state = system.chart.state(u).state
+        image = reverse(system.flow, reversal.signs, state, p)
+        same = (system.direction == "both") | (system.rate(state, p) * system.rate(image, p) > 0.0)
+        return jnp.abs(system.height(image)), same
+
+    height, same = jax.vmap(at)(points)
+    return (jnp.max(height) <= EXACT * (1.0 + abs(system.value))) & jnp.all(same)
+
+
+_keeps_each = jax.jit(jax.vmap(_keeps, in_axes=(None, 0, None, None)), compiler_options=COMPILED_FOR_ONE_CALL)
 
 
 def _describe_failure(batch: LaneBatch) -> str:
@@ -138,14 +143,14 @@ def _describe_failure(batch: LaneBatch) -> str:
     if candidates is None:
         return "of so many coordinates no changes of signs are tried: give the system its reversal"
     gaps = violations(flow, candidates, p)
-    nearest = _candidate(candidates, int(np.argmin(gaps)))
-    words = describe_reversal(flow, nearest)
+    nearest = int(np.argmin(gaps))
+    words = describe_reversal(flow, _candidate(candidates, nearest))
     if isinstance(system, Section) and gaps.min() <= EXACT:
         return (
             f"the reversal {words} takes the section {system.description} to another one; take a section that it "
             "keeps: where a coordinate that changes its sign is zero, or in both directions"
         )
-    where = describe_violation(flow, nearest, p)
+    where = describe_violation(flow, candidates, nearest, p)
     if declared:
         return f"the system's reversal is none: {where}"
     return (
