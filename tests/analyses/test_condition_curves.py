@@ -15,6 +15,8 @@ from jaxnh.orbits.continuation.paths import BEYOND, ENDS, RANGE
 from tests.helpers import contract
 from tests.helpers.kept_programs import session_of
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 HOPF = """
 def system(mu=0.5, nu=1.0):
     def rhs(state, t):

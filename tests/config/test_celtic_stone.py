@@ -10,6 +10,8 @@ import jaxnh
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
+pytestmark = pytest.mark.usefixtures("uncalibrated", "quick_compiling")
+
 CONFIG = ROOT / "configs/nonholonomic/celtic_stone.yaml"
 FEIGENBAUM = 4.669201609102990
 """Feigenbaum's constant δ (Briggs, Math. Comp. 57 (1991) 435)."""

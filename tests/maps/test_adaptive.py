@@ -22,6 +22,8 @@ from tests.flows import calm_particle, linear_oscillator
 from tests.helpers.cases import some_slow
 from tests.helpers.one_lane import compiled_iterate
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 RODAS = SOLVERS["rodas5p"]
 
 

@@ -19,6 +19,8 @@ from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.piecewise_circuits import CIRCUITS
 from tests.helpers.one_lane import compiled_iterate
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 
 def circuit_on_section(name, value=0.05):
     circuit = CIRCUITS[name]

@@ -20,6 +20,8 @@ from tests.flows import switched_sleighs
 from tests.flows.switched_sleighs import TURN, flow_of
 from tests.helpers.one_lane import states_after
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 STATES = {
     switched_sleighs.by_clock: [(0.4, 1.0, 0.5, 0.3), (-1.0, -0.3, 0.8, -1.1)],
     switched_sleighs.by_place: [(0.3, 0.4, 1.0, 0.5, 0.3), (-0.4, -1.0, -0.3, 0.8, -1.1)],
