@@ -31,8 +31,6 @@ from tests.helpers.batches import batch_of
 from tests.helpers.cases import some_slow
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
-
 GROWTH_RATES, WITHOUT_PERIOD = jax.jit(chaos01.growth_rates), jax.jit(chaos01.remove_period)
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 # (system, its twin in the reference, b of the paper's figures 1 and 6 with their periods, 0: chaotic)

@@ -25,8 +25,6 @@ from tests.helpers.measurement import apart
 from tests.helpers.memory import peak_memory
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
-
 B = np.array([2.5, 0.4, 3.1, 1.2, 3.1])
 # One period of order ten with 4900 forces has an error of 6e-12 (DESIGN, section 3). At these b all orbits attract; an
 # error grows no more than a hundredfold on the way to them, and some ten periods add up:

@@ -12,8 +12,6 @@ from jaxnh.engine.experiment import Experiment
 from tests.flows import known_maps
 from tests.helpers.kept_programs import session_of
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
-
 DIGITS = 40
 DOUBLINGS = (3.0, 1 + np.sqrt(6.0), 3.5440903595519228536)  # OEIS A086181 is the third
 LIMIT, DELTA = 3.5699456718709449018, 4.6692016091029906718  # OEIS A098587 and A006890

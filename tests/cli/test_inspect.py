@@ -18,7 +18,7 @@ from jaxnh.storage.tiles import folder_of
 from tests.helpers.commands import run_here
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("uncalibrated", "quick_compiling")
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 CONFIG = """\
 title: To be looked at
 system: {constraint: disturbed_speed, d: 0.1}

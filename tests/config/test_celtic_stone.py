@@ -55,7 +55,7 @@ def returns(vertical, w, count):
     def crossing(t, y):
         return y[0]
 
-    crossing.direction = 1.0
+    crossing.direction, crossing.terminal = 1.0, count + 1  # and the start
     start = np.concatenate([vertical, about_contact(contact(vertical)) @ w])
     motion = solve_ivp(rates, (0.0, 5.0 * count), start, "DOP853", rtol=1e-12, atol=1e-12, events=crossing)
     points = motion.y_events[0][motion.t_events[0] > 1e-6, :3]
