@@ -13,8 +13,6 @@ from jaxnh.exceptions import InputError
 from jaxnh.orbits.recognition import equal_cycles, primitive_period
 from tests.flows.lorenz import lorenz
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
-
 TWO_LETTERS = [2, 1, 2, 3, 6, 9, 18, 30, 56]
 """Primitive cyclic words of two letters, of 1, 2, … letters (Moreau's formula)."""
 

@@ -11,8 +11,6 @@ from jaxnh.exceptions import ConfigError
 from tests.helpers import contract
 from tests.helpers.kept_programs import session_of
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
-
 SHEAR, TURN = 0.7, 2.0
 
 STUART_LANDAU = f"""

@@ -12,8 +12,6 @@ from tests.flows import known_maps
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
-
 
 @pytest.fixture
 def user_map(tmp_path):

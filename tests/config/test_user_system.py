@@ -39,8 +39,6 @@ from tests.helpers import taylor
 from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
-
 PARTICLE = """import jax.numpy as jnp
 
 def system(a=0.5, b=5.5, c=1.0, d=0.0, omega=1.0):

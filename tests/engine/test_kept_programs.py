@@ -191,6 +191,10 @@ def test_other_programs_have_other_names(folder, monkeypatch):
         name(derivatives, (True,)),
         name(partial(iterate, 1)),
     ]
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", not before)
+    names.append(name())
+    jax.config.update("jax_disable_most_optimizations", before)
     monkeypatch.setattr(executables, "_versions", lambda: ["another text of the package"])
     names.append(name())
     assert None not in names
