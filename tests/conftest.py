@@ -68,6 +68,17 @@ def calibrate_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
+def quick_compiling(request: pytest.FixtureRequest) -> Iterator[None]:
+    """For modules whose quick tests run for less time than XLA optimises their programs for: it does little of that.
+
+    Slow tests have programs as users have them.
+    """
+    jax.config.update("jax_disable_most_optimizations", request.config.getoption("markexpr") == "not slow")
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.fixture(scope="module")
 def uncalibrated(calibrate_once: None) -> Iterator[None]:
     """For modules that look at no error of steps that their configs give: none is measured, by runs in this process."""
     with calibrating_by(unless_given):
@@ -81,9 +92,9 @@ def no_scheduler_left() -> Iterator[None]:
     dask.config.config.pop("scheduler", None)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def lanes() -> LaneExecutor:
-    """One runner for all tests, so that equal programs are traced and compiled once; few lanes are padded to 64."""
+    """A runner that shares its programs with those of all modules, traced and compiled once; few lanes are padded to 64."""
     return lanes_with_kept_programs(None, None, 32)
 
 

@@ -24,6 +24,7 @@ from tests.helpers.batches import batch_of
 from tests.helpers.comparisons import same_tree
 from tests.helpers.kept_programs import session_of
 
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 STEPS = {"accuracy": {"solver": "tsit5", "steps": 24}}
 """Of a flow without a clock, some 1e-9 a unit of time where rates are about one: few stages, as compiling takes long."""
 

@@ -20,6 +20,7 @@ from tests.flows.written_out import experiment, line
 from tests.helpers.attractors import grid, kinds, same_partition
 from tests.helpers.kept_programs import session_of
 
+pytestmark = pytest.mark.usefixtures("uncalibrated")
 STEPS = {"accuracy": {"solver": "tsit5", "steps": 24}}
 
 

@@ -18,6 +18,8 @@ from jaxnh.orbits.continuation.paths import BEYOND, ENDS, RANGE
 from tests.helpers import contract
 from tests.helpers.kept_programs import session_of
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 HOPF = """
 import jax.numpy as jnp
 

@@ -19,6 +19,8 @@ from jaxnh.systems.first_order import first_order
 from tests.flows.roessler import doubling_of_roessler
 from tests.helpers.kept_programs import session_of
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 ROESSLER = """
 def system(c=2.5):
     def rhs(y, t):

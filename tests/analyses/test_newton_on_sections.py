@@ -19,7 +19,7 @@ from tests.helpers.heyoka_newton import bifurcation, iterated, newton, section_m
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("uncalibrated")
+pytestmark = pytest.mark.usefixtures("uncalibrated", "quick_compiling")
 NEAR = 1e-9
 
 

@@ -29,6 +29,8 @@ from tests.helpers.paths import ROOT
 from tests.helpers.taylor import REAL, integrator
 from tests.helpers.taylor import Parameters as TaylorParameters
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 TURN = 2 * np.pi
 
 

@@ -11,6 +11,8 @@ import pytest
 import jaxnh
 from jaxnh.exceptions import InputError
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 TURN = 2 * math.pi
 GOLDEN = (math.sqrt(5) - 1) / 2
 

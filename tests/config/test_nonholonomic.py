@@ -20,7 +20,7 @@ from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("uncalibrated")
+pytestmark = pytest.mark.usefixtures("uncalibrated", "quick_compiling")
 FOLDER = ROOT / "configs/nonholonomic"
 STATES = 40
 EXACT = 1e-12  # of accelerations near ten, from some hundred products

@@ -14,6 +14,8 @@ from jaxnh.engine.experiment import Experiment
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
+pytestmark = pytest.mark.usefixtures("uncalibrated", "quick_compiling")
+
 FOLDER = ROOT / "configs/nonholonomic"
 
 

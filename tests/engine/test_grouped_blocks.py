@@ -126,7 +126,8 @@ def test_what_is_computed_together():
     assert rows_of_batches({"b": B, "omega": omega}, QUICK) == [1, *[2] * 7, 1]
 
 
-def test_tiles_of_several_rows():
+@pytest.mark.parametrize("tile", [45, pytest.param(100, marks=pytest.mark.slow)])
+def test_tiles_of_several_rows(tile):
     """The bits of tiles of one value of d each, wherever a tile ends; an axis of periods that differ has no such tiles."""
     options = {"lyapunov": {"transient": 16, "periods": 16}, "period": {"transient": 16, "max_period": 4}}
     content = {"system": {"constraint": "disturbed_speed"}, "accuracy": {"solver": "blanes_moan6", "steps": 40}}
@@ -135,9 +136,9 @@ def test_tiles_of_several_rows():
     requested, axes, lanes = experiment.requested(), experiment.axes, lanes_with_kept_programs()
     plan = Plan(SOLVER, STEPS, False, 1e-6)
     found = []
-    for tile, rows in ((20, 1), (45, 2), (100, 5)):
-        job = job_of(experiment, axes, plan, {"lyapunov": {"parts": 1}}, requested, {}, tile)
-        assert job.cutting.pieces()[0].shape == (20, rows)
+    for lanes_of_tile in (20, tile):
+        job = job_of(experiment, axes, plan, {"lyapunov": {"parts": 1}}, requested, {}, lanes_of_tile)
+        assert job.cutting.pieces()[0].shape == (20, lanes_of_tile // 20)
         whole = {}
         for piece in job.cutting.pieces():
             [done] = compute(experiment, axes, requested, job, [piece], lanes, None)
@@ -148,7 +149,7 @@ def test_tiles_of_several_rows():
                     values = whole.setdefault((name, variable), np.zeros((20, 5, *item.shape[2:]), item.dtype))
                     values[slab(dims, piece, ("b", "d"))] = item.values
         found.append({key: values.tobytes() for key, values in whole.items()})
-    assert found[0] == found[1] == found[2]
+    assert found[0] == found[1]
     sweep["omega"] = {"values": [1.0, 2.0, 0.5]}
     unlike = Experiment.from_dict({**content, "sweep": {k: sweep[k] for k in ("b", "omega")}, "analyses": options})
     assert job_of(unlike, unlike.axes, plan, {}, unlike.requested(), {}, 100).cutting.shared_values == 1

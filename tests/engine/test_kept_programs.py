@@ -191,6 +191,10 @@ def test_other_programs_have_other_names(folder, monkeypatch):
         name(derivatives, (True,)),
         name(partial(iterate, 1)),
     ]
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", not before)
+    names.append(name())
+    jax.config.update("jax_disable_most_optimizations", before)
     monkeypatch.setattr(executables, "_versions", lambda: ["another text of the package"])
     names.append(name())
     assert None not in names
@@ -274,6 +278,7 @@ analyses:
 def test_functions_of_lapack_are_looked_up_for_a_kept_program(tmp_path, monkeypatch):
     """Matrices of nine coordinates are factorised by LAPACK, which a process that lowers nothing has not looked up."""
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")  # compiled sooner, and with LAPACK all the same
     (tmp_path / "rates.py").write_text(RATES)
     (tmp_path / "stiff.yaml").write_text(STIFF)
     for name in ("first.h5", "second.h5"):

@@ -8,6 +8,8 @@ from types import SimpleNamespace
 from typing import Any, cast
 from unittest import mock
 
+import jax
+
 from jaxnh.analyses.batch import Axis
 from jaxnh.engine import plan
 from jaxnh.engine.accuracy.calibration import Calibration
@@ -30,7 +32,8 @@ def once(calibrate: Calibrate) -> Calibrate:
     ) -> Calibration:
         grids = tuple((axis.name, axis.kind, axis.values.tobytes()) for axis in axes)
         drawn = frozenset(plan.start_samplers(requested or ()))
-        key = (experiment.sha256, experiment.sectioned, grids, target, drawn, len(lanes.devices), lanes.tile)
+        runner = (len(lanes.devices), lanes.tile, jax.config.read("jax_disable_most_optimizations"))
+        key = (experiment.sha256, experiment.sectioned, grids, target, drawn, runner)
         if key not in found:
             found[key] = calibrate(experiment, axes, lanes, target, requested)
         return found[key]

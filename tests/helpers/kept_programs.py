@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
+
 from jaxnh.engine.executor.lanes import TILE, LaneExecutor
 from jaxnh.engine.executor.programs import Programs
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.progress import Progress
 from jaxnh.engine.session import Session
 
-_PROGRAMS = Programs()
+_PROGRAMS = {unoptimised: Programs() for unoptimised in (False, True)}
 
 # Compiled in a quarter of the time, and slower by several times: for runs so short that compiling is what takes time.
 # 16 programs of the matrix took 4.6 s of processor as usual, 1.35 s without optimisation and fusion emitters, and 1.17 s
@@ -25,9 +27,14 @@ QUICKLY_COMPILED = Programs(
 
 
 def lanes_with_kept_programs(
-    progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE, programs: Programs = _PROGRAMS
+    progress: Progress | None = None,
+    devices: list[Any] | None = None,
+    tile: int = TILE,
+    programs: Programs | None = None,
 ) -> LaneExecutor:
-    """Lanes on all devices that find the programs of earlier runs in this process; their keys say all there is."""
+    """Lanes on all devices that find the programs of earlier runs in this process; their keys say all else there is."""
+    if programs is None:
+        programs = _PROGRAMS[jax.config.read("jax_disable_most_optimizations")]
     return LaneExecutor(progress, devices, tile, programs)
 
 

@@ -20,6 +20,9 @@ from jaxnh.systems.flow import NO_RETURN, NOT_FINITE, OUT_OF_STEPS
 from jaxnh.systems.lagrangian import lagrangian
 from tests.flows import calm_particle, linear_oscillator
 from tests.helpers.cases import some_slow
+from tests.helpers.one_lane import compiled_iterate
+
+pytestmark = pytest.mark.usefixtures("quick_compiling")
 
 RODAS = SOLVERS["rodas5p"]
 
@@ -39,7 +42,7 @@ def start_of(flow, *values):
 
 
 def image(strobe, state, **p):
-    return np.array(jax.tree.leaves(jax.jit(lambda s, z, p: s(z, p))(strobe, state, p)))
+    return np.array(jax.tree.leaves(compiled_iterate(strobe, 1, state, p)))
 
 
 def van_der_pol(y, t, mu):
@@ -81,8 +84,8 @@ def test_period_of_van_der_pol(mu, period):
     flow = flow_of(van_der_pol, ("x", "v"), unit=mu / 4.0, mu=mu)
     section = Section(flow, "x", 0, 0.0, "up")
     strobe = make_return_map(section, RODAS, 256)
-    crossing = jax.jit(lambda s, z, p: s(s(z, p), p))(strobe, begin(section, start_of(flow, 2.0, 0.0)), {"mu": mu})
-    later = jax.jit(lambda s, z, p: s(z, p))(strobe, crossing, {"mu": mu})
+    crossing = compiled_iterate(strobe, 2, begin(section, start_of(flow, 2.0, 0.0)), {"mu": mu})
+    later = compiled_iterate(strobe, 1, crossing, {"mu": mu})
     assert abs(float(later.t - crossing.t) / period - 1.0) < 1e-9
 
 
@@ -91,10 +94,8 @@ def test_period_of_the_oregonator():
     flow = flow_of(oregonator, ("x", "y", "z"), unit=10.0, s=77.27)
     section = Section(flow, "y", 1, 3.0, "up")
     strobe = make_return_map(section, RODAS, 256)
-    crossing = jax.jit(lambda s, z, p: s(s(z, p), p))(
-        strobe, begin(section, start_of(flow, 1.0, 2.0, 3.0)), {"s": 77.27}
-    )
-    later = jax.jit(lambda s, z, p: s(z, p))(strobe, crossing, {"s": 77.27})
+    crossing = compiled_iterate(strobe, 2, begin(section, start_of(flow, 1.0, 2.0, 3.0)), {"s": 77.27})
+    later = compiled_iterate(strobe, 1, crossing, {"s": 77.27})
     assert abs(float(later.t - crossing.t) - 302.858044) < 1e-5
 
 
@@ -190,7 +191,7 @@ def test_multipliers_of_a_cycle_are_the_integral_of_the_divergence():
     section = Section(flow, "x", 0, 0.0, "up")
     strobe = make_return_map(section, RODAS, 400)
     p = {"mu": jnp.float64(mu)}
-    crossing = jax.jit(lambda s, z: s.iterate(3, z, p))(strobe, begin(section, start_of(flow, 2.0, 0.0)))
+    crossing = compiled_iterate(strobe, 3, begin(section, start_of(flow, 2.0, 0.0)), p)
     lifted = section.chart.lift(crossing, (jnp.float64(1.0),))
     pushed = jax.jit(lambda s, z: s.pushforward(z, p, (Tangent(lifted),)))(strobe, crossing)
     period = float(pushed.state.t - crossing.t)
@@ -272,7 +273,7 @@ def test_a_section_that_is_not_met_says_so():
     flow = flow_of(lambda y, t, k: (-k * y[0],), ("y",), k=5.0)
     section = Section(flow, "y", 0, -1.0, "down", longest=20.0)
     strobe = make_return_map(section, RODAS, 64)
-    crossing = jax.jit(lambda s, z, p: s(z, p))(strobe, begin(section, start_of(flow, 1.0)), {"k": 5.0})
+    crossing = compiled_iterate(strobe, 1, begin(section, start_of(flow, 1.0)), {"k": 5.0})
     assert float(crossing.reason) == NO_RETURN
 
 
@@ -286,11 +287,14 @@ def test_steps_are_projected_on_constraints(lanes):
 
 def test_tangents_at_rest():
     """At rest, at zero and elsewhere, no state errs; tangents are exponentials of the field's matrix all the same."""
+
+    def pendulum(y, t, place):
+        return y[1], -jnp.sin(y[0] - place)
+
+    flow = flow_of(pendulum, ("x", "v"), unit=3.0, place=1.0)
+    strobe, tangents = make_return_map(flow, RODAS, 200), (Tangent(start_of(flow, 1.0, 0.0)),)
+    push = jax.jit(lambda z, place: strobe.pushforward(z, {"place": place}, tangents))
     for place in (0.0, 3.0):
-        flow = flow_of(lambda y, t, k, x=place: (y[1], -k * jnp.sin(y[0] - x)), ("x", "v"), unit=3.0, k=1.0)
-        strobe, state = make_return_map(flow, RODAS, 200), start_of(flow, place, 0.0)
-        pushed = jax.jit(lambda s, z, t: s.pushforward(z, {"k": jnp.float64(1.0)}, t))(
-            strobe, state, (Tangent(start_of(flow, 1.0, 0.0)),)
-        )
+        pushed = push(start_of(flow, place, 0.0), place)
         slope = np.array(jax.tree.leaves(pushed.tangents[0].state))
         assert np.abs(slope - [np.cos(3.0), -np.sin(3.0)]).max() < 1e-8

@@ -21,6 +21,8 @@ from jaxnh.systems.lagrangian import Motion
 from tests.flows.unforced_particle import ANGLE, LANES, SPLITTING, START, B, P, spread, without
 from tests.helpers import taylor
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 SECTIONS = {
     "up": (Section(without("forcing"), "y1", 1, 0.0, "up"), 1),
     "down": (Section(without("forcing"), "x1", 0, 0.0, "down"), -1),

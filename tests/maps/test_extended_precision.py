@@ -77,6 +77,9 @@ def test_angles():
                 assert abs(value - wanted) < Decimal(64 * UNIT)
 
 
+sin_cos = jax.jit(jax.vmap(lambda hidden, a: Arithmetic(hidden).sin_cos(a), (None, 0)))
+
+
 @pytest.mark.parametrize("turns", [1, 7, 1000])
 def test_angles_of_many_turns(turns):
     """Whole turns are taken off by 2 π to more digits than two float64 have."""
@@ -85,8 +88,7 @@ def test_angles_of_many_turns(turns):
     beyond = [Fraction(a) + turns * turn for a in angle]
     hi = np.array([float(a) for a in beyond])
     lo = np.array([float(a - Fraction(b)) for a, b in zip(beyond, hi, strict=True)])
-    run = jax.jit(jax.vmap(lambda hidden, a: Arithmetic(hidden).sin_cos(a), (None, 0)))
-    for far, near in zip(run(HIDDEN, Double(hi, lo)), run(HIDDEN, Double(angle, np.zeros(8))), strict=True):
+    for far, near in zip(sin_cos(HIDDEN, Double(hi, lo)), sin_cos(HIDDEN, Double(angle, np.zeros(8))), strict=True):
         gap = (far.hi - near.hi) + (far.lo - near.lo)
         assert np.abs(gap).max() < 8 * UNIT + 2 * np.pi * turns * UNIT / 4  # lo of the angle is rounded
 

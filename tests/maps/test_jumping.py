@@ -21,6 +21,10 @@ from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.flow import CHATTERING
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from tests.helpers.cases import some_slow
+from tests.helpers.one_lane import image_after, state_after, states_after
+
+pytestmark = pytest.mark.usefixtures("quick_compiling")
 
 TURN = 2 * np.pi
 
@@ -234,7 +238,7 @@ def test_exponents_of_the_impact_oscillator(lanes):
 CHAOS = {2.8: (0.1424, -0.2103), 2.85: (0.2152, -0.2430)}  # of 24,000 periods by `impact_exponents`, ± 0.002
 
 
-@pytest.mark.parametrize("w", CHAOS)
+@pytest.mark.parametrize("w", some_slow({str(w): w for w in CHAOS}, "2.8"))
 def test_chaos_of_the_impact_oscillator(w):
     """The largest exponent and the sum, which is 2 ln r times the rate of impacts."""
     session = jaxnh.Session(impact, target=1e-9, parameters={"w": w})
@@ -329,7 +333,7 @@ def test_chattering_is_a_reason():
     """A ball at rest on a table comes there by infinitely many impacts in finite time; another lane goes on."""
     system = piecewise_smooth(ball, {"g": 1.0, "a": 0.0, "r": 0.5})
     strobe = make_return_map(system, tsit5, 10)
-    state = jax.jit(jax.vmap(lambda u: strobe(system.chart.state(u), {})))(points([(0.5, 0.0), (100.0, 0.0)]))
+    state = states_after(strobe, points([(0.5, 0.0), (100.0, 0.0)]), {}, 1)
     assert state.reason.tolist() == [CHATTERING, 0]
     assert np.isnan(state.y[0][0])
     assert float(state.y[0][1]) == pytest.approx(100.0 - TURN**2 / 2, abs=1e-12)
@@ -409,7 +413,7 @@ def test_order_of_convergence_at_corners():
         errors = []
         for count in counts:
             strobe = make_return_map(system, solver, count, span=(0.0, 4.0))
-            state = jax.jit(lambda u, strobe=strobe: strobe(system.chart.state(u), {}))(jnp.array(start))
+            state = state_after(strobe, jnp.array(start), {})
             errors.append(np.abs(np.array(state.y) - exact).max())
         order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
         assert order > solver.convergence_order - 0.7, (solver.name, errors)
@@ -501,7 +505,7 @@ def test_both_directions():
             wait = (np.arctan2(y[1], y[0]) - np.pi / 2) % np.pi  # states turn clockwise
             y = turned([0.0, 0.5 * turned(y, wait)[1]], np.pi - wait)
             strobe = make_return_map(system, dopri8, steps)
-            ours = jax.jit(lambda u, n=n, strobe=strobe: derivatives(strobe, n, u, {}).image)(jnp.asarray(start))
+            ours = image_after(strobe, jnp.asarray(start), {}, n)
             assert np.abs(np.asarray(ours) - y).max() < 1e-10
 
 

@@ -17,6 +17,9 @@ from jaxnh.systems.first_order import first_order
 from jaxnh.systems.flow import CHATTERING, NO_RETURN
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.piecewise_circuits import CIRCUITS
+from tests.helpers.one_lane import compiled_iterate
+
+pytestmark = pytest.mark.usefixtures("quick_compiling")
 
 
 def circuit_on_section(name, value=0.05):
@@ -33,8 +36,7 @@ def start_of(section, *numbers):
 def crossings(section, solver, steps, start, count):
     """Times, states and reasons of the first crossings."""
     strobe = make_return_map(section, solver, steps)
-    each = jax.jit(lambda n, z: strobe.iterate(n, z, {}))
-    met = [each(n, start) for n in range(1, count + 1)]
+    met = [compiled_iterate(strobe, n, start, {}) for n in range(1, count + 1)]
     return np.array([c.t for c in met]), np.array([c.state.y for c in met]), [float(c.reason) for c in met]
 
 

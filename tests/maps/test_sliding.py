@@ -10,21 +10,23 @@ from scipy.optimize import brentq
 
 import jaxnh
 from jaxnh.maps.build import make_parts, make_return_map
-from jaxnh.maps.iterate import derivatives, iterate
+from jaxnh.maps.iterate import derivatives
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from tests.helpers.one_lane import state_after, states_after
+
+pytestmark = pytest.mark.usefixtures("quick_compiling")
 
 TURN = 2 * np.pi
 EPS = np.finfo(float).eps
 
 
-def end(system, y, steps, time=None, solver=dopri8, own=None):
+def end(system, y, steps, time=None, solver=dopri8):
     """The state a period, or a time, after y, and why it failed."""
     span = None if time is None else (0.0, time)
-    strobe = make_return_map(system, solver, steps, span=span)
-    state = jax.jit(lambda u: strobe(system.chart.state(u), own or {}))(jnp.asarray(y, float))
+    state = state_after(make_return_map(system, solver, steps, span=span), jnp.asarray(y, float), {})
     return np.array(state.y), float(state.reason)
 
 
@@ -168,7 +170,7 @@ def test_amplitude_without_stops():
     mu, w = 0.3, 0.7
     system = piecewise_smooth(dry, {"mu": mu, "w": w})
     strobe = make_return_map(system, dopri8, 60)
-    y = np.array(jax.jit(lambda u: iterate(strobe, 400, system.chart.state(u), {}))(jnp.array([0.3, 0.1])).y)
+    y = np.array(state_after(strobe, jnp.array([0.3, 0.1]), {}, 400).y)
     force = -mu * np.sign(y[1])
     times = np.linspace(0.01, np.pi / w, 400)
     velocity = [arc(0.0, y, s, w, force)[1] for s in times]
@@ -232,7 +234,7 @@ def test_two_surfaces_at_once_are_refused():
     system = piecewise_smooth(corner, {"k": 1.0})
     strobe = make_return_map(system, tsit5, 10)
     starts = jnp.array([(0.5, 0.3), (0.0, 0.0), (0.5, 3.0)])
-    state = jax.jit(jax.vmap(lambda u: strobe(system.chart.state(u), {})))(starts)
+    state = states_after(strobe, starts, {}, 1)
     assert state.reason.tolist() == [CODIMENSION_TWO, CODIMENSION_TWO, 0]
     assert np.array(state.y)[:, 2] == pytest.approx([0.0, 2.0], abs=1e-14)
 
@@ -284,13 +286,12 @@ def test_impacts_come_to_an_end(r):
     """After v/g + 2 v r/(g (1 − r)), of v at the first; the heights' integral over all bounces is a geometric sum."""
     v, system = 0.15, piecewise_smooth(table, {"g": 1.0, "a": 0.0, "r": r})
     over = v + 2 * v * r / (1 - r)
-    strobe = make_return_map(system, dopri8, 40, span=(0.0, over + 0.01))
-    start = jnp.array([1.0 + v * v / 2, 0.0, 0.0])
-    state = jax.jit(lambda u: strobe(system.chart.state(u), {}))(start)
-    assert float(state.reason) == 0
-    assert [float(x) for x in state.y[:2]] == [1.0, 0.0]
+    start = (1.0 + v * v / 2, 0.0, 0.0)
+    y, reason = end(system, start, 40, over + 0.01)
+    assert reason == 0
+    assert y[:2].tolist() == [1.0, 0.0]
     area = v**3 / 3 + 2 / 3 * (v * r) ** 3 / (1 - r**3)
-    assert float(state.y[2]) == pytest.approx(area, abs=1e-12)
+    assert y[2] == pytest.approx(area, abs=1e-12)
     before, _ = end(system, start, 40, over - 1e-3)
     assert before[1] != 0.0
 

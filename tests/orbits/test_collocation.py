@@ -18,6 +18,8 @@ from tests.flows.linear_oscillator import OMEGA as DRIVE
 from tests.flows.lorenz import lorenz
 from tests.helpers.cycle_problems import first_cycle, problem_of
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 LORENZ_SHORTEST = 1.558652210716  # Viswanath, Nonlinearity 16 (2003) 1035, at rho = 28
 RELAXATION = {
     100.0: 162.83707109237,

@@ -18,6 +18,8 @@ from tests.flows import connections
 from tests.flows.lorenz import PARAMETERS, lorenz
 from tests.helpers.cycle_problems import problem_of
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 SHAPE = ("alpha", "beta", "gamma")
 
 

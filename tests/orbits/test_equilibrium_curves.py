@@ -27,6 +27,8 @@ from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.helpers.batches import batch_of
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 SHAPE = {"alpha": 0.25, "g": 0.25, "gamma": 0.987, "delta": 1.04}
 
 

@@ -19,6 +19,8 @@ from tests.flows import (
     sleigh,
 )
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 FLOWS = {
     "linear oscillator": linear_oscillator.known_flow,
     "Duffing at small amplitude": duffing_at_small_amplitude.known_flow,

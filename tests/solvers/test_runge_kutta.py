@@ -17,6 +17,8 @@ from tests.helpers.cases import some_slow
 from tests.helpers.convergence import order_of
 from tests.helpers.measurement import UNIT, apart
 
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
 methods = pytest.mark.parametrize("solver", RUNGE_KUTTA.values(), ids=RUNGE_KUTTA)
 OWN = {name: getattr(diffrax, name.capitalize()) for name in RUNGE_KUTTA if hasattr(diffrax, name.capitalize())}
 

@@ -13,6 +13,9 @@ from jaxnh.solvers import dopri8, verner9
 from jaxnh.systems.corners import names_without_surface, with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.piecewise_circuits import CIRCUITS
+from tests.helpers.one_lane import state_after
+
+pytestmark = pytest.mark.usefixtures("quick_compiling")
 
 Y = (0.0, 0.0, 0.0)
 
@@ -158,7 +161,7 @@ def test_friction_by_sign_slides():
     _, located = made(lambda y, t, a: (y[1], -y[0] - a * jnp.sign(y[1] - 0.5), 0.0))
     system = piecewise_smooth(located, {"a": 1.0})
     strobe = make_return_map(system, dopri8, 40, span=(0.0, 2.5))
-    x, v, _ = jax.jit(lambda u: strobe(system.chart.state(u), {}))(jnp.array([0.0, 0.5, 0.0])).y
+    x, v, _ = state_after(strobe, jnp.array([0.0, 0.5, 0.0]), {}).y
     after = 2.5 - 2.0  # it sticks for 2 until x = 1, and then turns about x = 1 at v = 1/2
     assert float(x) == pytest.approx(1.0 + 0.5 * np.sin(after), abs=1e-12)
     assert float(v) == pytest.approx(0.5 * np.cos(after), abs=1e-12)
@@ -174,7 +177,7 @@ def test_motions_across_corners(name):
     system = piecewise_smooth(with_switches(circuit.define, {"scale": 1.0}), {"scale": 1.0})
     assert system.switches == len(circuit.heights(circuit.start))
     strobe = make_return_map(system, verner9, 160, span=(0.0, 4.0))
-    ours = np.array(jax.jit(lambda u: strobe(system.chart.state(u), {}))(jnp.array(circuit.start)).y)
+    ours = np.array(state_after(strobe, jnp.array(circuit.start), {}).y)
     theirs = circuit.follow(4.0)
     assert np.abs(ours - theirs).max() < 1e-10 * (1.0 + np.abs(theirs).max())
 
@@ -187,7 +190,7 @@ def test_order_of_convergence_at_corners_that_are_found():
     counts, errors = (8, 10, 13, 16), []
     for count in counts:
         strobe = make_return_map(system, dopri8, count, span=(0.0, 4.0))
-        state = jax.jit(lambda u, strobe=strobe: strobe(system.chart.state(u), {}))(jnp.array(circuit.start))
+        state = state_after(strobe, jnp.array(circuit.start), {})
         errors.append(np.abs(np.array(state.y) - exact).max())
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > dopri8.convergence_order - 0.7, errors
 

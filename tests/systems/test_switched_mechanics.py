@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnh.maps.build import make_return_map
-from jaxnh.maps.iterate import derivatives, iterate
+from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import dopri8, tsit5
@@ -18,6 +18,9 @@ from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.switched_mechanics import switched_mechanics
 from tests.flows import switched_sleighs
 from tests.flows.switched_sleighs import TURN, flow_of
+from tests.helpers.one_lane import states_after
+
+pytestmark = pytest.mark.usefixtures("quick_compiling")
 
 STATES = {
     switched_sleighs.by_clock: [(0.4, 1.0, 0.5, 0.3), (-1.0, -0.3, 0.8, -1.1)],
@@ -28,7 +31,7 @@ STATES = {
 def end(flow, states, steps=60, periods=1, solver=dopri8):
     """States after some periods, (count, components), the energy lost, and their drift."""
     strobe = make_return_map(flow, in_loop(solver), steps)
-    after = jax.jit(jax.vmap(lambda u: iterate(strobe, periods, flow.chart.state(u), {})))(jnp.array(states, float))
+    after = states_after(strobe, jnp.array(states, float), {}, periods)
     drift, lost = (np.asarray(x) for x in after.watch)
     return np.stack(np.broadcast_arrays(*(np.asarray(x) for x in after.y)), axis=-1), lost, drift
 

@@ -47,6 +47,7 @@ _SETTINGS = (
     "jax_disable_jit",
     "jax_exec_time_optimization_effort",
 )
+_UNOPTIMISED = "jax_disable_most_optimizations"  # one more of them, which is no attribute of `jax.config`
 _LAPACK = b"lapack_"  # names of functions of LAPACK in a program begin with it
 _ACCOUNTED = ("jaxnh", *_LIBRARIES, "builtins", "math", "collections")  # modules whose text the versions say
 
@@ -81,6 +82,7 @@ def name_of(
 def environment() -> str:
     """All that decides the numbers: versions, the text of this package, settings of JAX."""
     settings = {name: str(getattr(jax.config, name, None)) for name in _SETTINGS}
+    settings[_UNOPTIMISED] = str(jax.config.read(_UNOPTIMISED))
     return json.dumps([_versions(), settings, os.environ.get("EQX_ON_ERROR")])
 
 
