@@ -57,7 +57,7 @@ gallery_rubber_ball: PICTURE := --size 130x90 --coordinates w3
 gallery_snakeboard: PICTURE := --size 130x90 --coordinates along
 gallery_two_wheeled_carriage: PICTURE := --size 130x90 --coordinates along
 gallery_pursuit: PICTURE := --size 130x90 --coordinates x
-gallery_rattleback: PICTURE := --size 130x90 --coordinates w3
+gallery_rattleback: PICTURE := --size 150x180 --coordinates g1,w3
 gallery_celtic_stone: PICTURE := --size 130x90 --coordinates g2
 gallery_discrete_lorenz: PICTURE := --size 130x90 --coordinates g2
 $(addprefix gallery_,$(GALLERY)): gallery_%: $(INSTALLED)
