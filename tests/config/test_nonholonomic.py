@@ -541,7 +541,7 @@ def test_exponents_of_the_thermostat_are_paired():
 def test_sum_rule_on_a_level():
     """Of all exponents on the level, and on a nonlinear constraint: the mean divergence, but for steps of order nine.
 
-    What the gradients of the energy and of the constraint change by, some 1e-2 over this time, is in it.
+    What the gradients of the energy and of the constraint change by over this time is in it.
     """
     made = jaxnh.load(
         FOLDER / "parallel_velocities.yaml",
