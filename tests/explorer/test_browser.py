@@ -66,10 +66,7 @@ SHOTS = os.environ.get("JAXNH_SCREENSHOTS")  # a folder to keep pictures of the 
 def started(*arguments):
     """A server, and the address that it prints."""
     command = [sys.executable, "-m", "jaxnh.explore", *map(str, arguments), "--port", "0"]
-    quickly = {
-        "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"
-    }  # few lanes run for less time than their programs are optimised for
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), **quickly}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     line = process.stdout.readline()
     assert line.startswith("explore: http://"), line
