@@ -145,8 +145,8 @@ def averages(
     settled = no_orbits(lead + k)
     with lanes.stage(f"lyapunov: averages of {count} lanes", count * options.periods):
         for stretch in _stretches(options):
-            (part, part_p), begun, i = select((growth, p), running), [k / BLOCKS for k in stretch], stretch[-1]
-            in_turn = averages_in_turn(lanes, strobes, part, part_p, block, begun, nodes)
+            (part, part_p), shares, i = select((growth, p), running), [k / BLOCKS for k in stretch], stretch[-1]
+            in_turn = averages_in_turn(lanes, strobes, part, part_p, block, shares, nodes)
             for number, (after, rate) in zip(stretch, in_turn, strict=True):
                 rates[running, number] = rate
                 smooth[running] += smooth_parts(after, block, number)
