@@ -1,4 +1,4 @@
-"""A rattleback of a paraboloid: its equations written anew, its cascade over the energy, and what its motion keeps."""
+"""A rattleback of a paraboloid: its equations written anew, its cascade over the energy, its discrete Lorenz attractor."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 import jaxnh
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
+from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.solvers import dopri8
 from jaxnh.systems.level import off_level
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
@@ -62,11 +63,44 @@ def returns(y, count, angle):
     def crossing(t, y, angle):
         return y[0]
 
-    crossing.direction = 1.0
+    crossing.direction, crossing.terminal = 1.0, count + 1  # the start is one
     span = (0.0, 5.0 * count)
     motion = solve_ivp(rates, span, y, "DOP853", rtol=1e-12, atol=1e-12, events=crossing, args=(angle,))
     later = motion.t_events[0] > 1e-6
     return motion.y_events[0][later][:count], motion.t_events[0][later][:count]
+
+
+def on_section(x, energy, angle):
+    """The state, γ and M, on γ1 = 0 and on a level of the energy: of the angle of γ and two of M's direction."""
+    vertical = np.array([0.0, np.sin(x[0]), np.cos(x[0])])
+    moment = np.array([np.cos(x[2]) * np.cos(x[1]), np.cos(x[2]) * np.sin(x[1]), np.sin(x[2])])
+    r = contact(vertical)
+    twice = moment @ np.linalg.solve(about_contact(r, angle), moment)
+    return np.concatenate([vertical, moment * np.sqrt(2.0 * (energy + WEIGHT * r @ vertical) / twice)])
+
+
+def in_section(y):
+    """The angles of such a state."""
+    return np.array([np.arctan2(y[1], y[2]), np.arctan2(y[4], y[3]), np.arcsin(y[5] / np.linalg.norm(y[3:]))])
+
+
+def fixed_point(x, energy, angle):
+    """A point of period one by Newton, and the derivative of the return map there.
+
+    Differences of 1e-4 to order four: their error of some 1e-10 is below what returns by 1e-12 leave, divided by 1e-4.
+    """
+
+    def image(x):
+        return in_section(returns(on_section(x, energy, angle), 1, angle)[0][0])
+
+    for _ in range(6):
+        step = 1e-4 * np.eye(3)
+        columns = [(8 * (image(x + h) - image(x - h)) - image(x + 2 * h) + image(x - 2 * h)) / 12e-4 for h in step]
+        derivative, missed = np.stack(columns, axis=1), image(x) - x
+        if np.abs(missed).max() < 1e-10:
+            return x, derivative
+        x = x - np.linalg.solve(derivative - np.eye(3), missed)
+    raise AssertionError("Newton has not converged")
 
 
 def groups_of(name, *changes):
@@ -102,6 +136,52 @@ def test_periods_double_for_ever():
     delta, error = float(data["delta_limit"]), float(data["delta_limit_error"])
     assert error < 0.2
     assert abs(delta - FEIGENBAUM) <= error
+
+
+IN_SECTION = np.array([-0.6258, 5.7039 - 2.0 * np.pi, -0.5763])
+"""Near the fixed point at the energy 752."""
+
+
+STEPS = "accuracy={solver: verner9, steps: 400}"
+
+
+@pytest.mark.slow
+def test_the_saddle_of_a_discrete_lorenz_attractor():
+    """Multipliers of the fixed point are those by DOP853: μ₁ < −1 < μ₃ < 0 < μ₂ < 1, |μ₁ μ₂| > 1.
+
+    So A. Gonchenko and S. Gonchenko (2013) and Gonchenko, Gonchenko and Kazakov (Regul. Chaotic Dyn. 18 (2013) 521).
+    """
+    _, derivative = fixed_point(IN_SECTION, 752.0, ANGLE_OF_LORENZ)
+    exact = np.linalg.eigvals(derivative)
+    exact = exact[np.argsort(-np.abs(exact))]
+    assert exact[0].real < -1.0 < exact[2].real < 0.0 < exact[1].real < 1.0
+    options = "analyses={orbits: {max_period: 1, attractor: 512, rounds: 4}}"
+    orbits = groups_of("discrete_lorenz", "sweep.energy={values: [752.0]}", STEPS, options)["orbits"].isel(energy=0)
+    multipliers = orbits["multipliers"].to_numpy()[:, :3, 0]
+    saddle = int(np.argmin(np.abs(multipliers[:, 0] - exact[0].real)))
+    assert np.abs(multipliers[saddle] - exact.real).max() < 1e-7
+
+
+@pytest.mark.slow
+def test_the_fixed_point_doubles_and_what_is_left_ends_at_a_torus():
+    """By DOP853 a multiplier passes −1 within 1e-6 of the energy of the doubling; its determinant changes there by 1e-7."""
+    box = "{g2: [-0.62, -0.58], w1: [5.5, 6.2], w3: [-4.3, -3.8]}"
+    marks = groups_of(
+        "discrete_lorenz",
+        "sweep.energy={start: 746.0, stop: 752.0, count: 7}",
+        STEPS,
+        f"analyses={{branches: {{max_period: 2, n_starts: 8, n_values: 1, box: {box}}}}}",
+    )["bifurcations"]
+    assert [KINDS[kind] for kind in marks["kind"].to_numpy()] == ["period_doubling", "neimark_sacker"]
+    assert marks["period"].to_numpy().tolist() == [1, 2]
+
+    doubling, torus = marks["energy"].to_numpy()
+    vertical, w = (np.array([float(marks[f"{v}{i}"][0]) for i in (1, 2, 3)]) for v in "gw")
+    near = in_section(np.concatenate([vertical, about_contact(contact(vertical), ANGLE_OF_LORENZ) @ w]))
+    beside = (fixed_point(near, energy, ANGLE_OF_LORENZ)[1] for energy in (doubling - 1e-6, doubling + 1e-6))
+    before, after = (np.linalg.det(derivative + np.eye(3)) for derivative in beside)
+    assert before * after < 0.0
+    assert doubling + 1.0 < torus < 752.0
 
 
 @pytest.mark.slow

@@ -60,14 +60,14 @@ def test_programs_of_table1():
     """configs/table1.yaml: the map is calibrated twice, with plain and with compensated sums.
 
     Derivatives are compiled for tiles of 128 and of 32 lanes, by how many lanes have an orbit, and with those in b for
-    the doublings; section coordinates are read of all strobes and of the last.
+    the doublings; section coordinates are read of 32 strobes of an early look, and of 128 after the transient.
     """
     counts = compiled_by(Session(load(ROOT / "configs" / "table1.yaml")))
     assert counts == {
         "iterate": 2,
         "record": 1,
         "_state_at": 1,
-        "_points_of": 2,
+        "_observe": 2,
         "derivatives": 3,
         "section_map": 1,
     }
