@@ -27,9 +27,7 @@ from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
 _LOOKED_AT = 9  # points of a branch
-_ABREAST = (
-    8  # times the branches that fill a tile: with 32 lanes a tile, calls of 64 to 512 lanes take a quarter of the time
-)
+_ABREAST = 8  # times the branches that fill a tile: of 32 lanes a tile, calls of 64 to 512 take a quarter of the time
 _NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
 _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
 
@@ -127,27 +125,37 @@ def _follow_branches(
         orbits = correct(family, points, value, along_parameter(family, *points.shape[:2]), FINE)
         queue.append(orbits.take(orbits.converged))
     orbits: CurveOrbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), *queue)
-    n = orbits.points.shape[1]
-    whole, kept, new = KnownBranches(family, tree.branches, n), KnownBranches(family, tree.branches, n), list[Branch]()
-    seen = 0
+    n, at_once = orbits.points.shape[1], _at_once(family, seeds)
+    kept, new = KnownBranches(family, tree.branches, n), list[Branch]()
 
     def is_new(known: KnownBranches, k: int) -> bool:
         return not known.has(orbits.points[k], float(orbits.value[k]), _BESIDE if k < beside else SAME)
 
-    def is_wanted(branches: Sequence[Branch], k: int) -> bool:
-        nonlocal seen
-        for branch in branches[seen:]:
-            whole.add(branch)
-        seen = len(branches)
-        return is_new(whole, k)
-
-    with stage(f"branches of period {n} from {len(orbits.value)} orbits"):  # and back through bifurcations as well
-        followed = follow_both_ways(family, orbits, steps, is_wanted, _at_once(family, seeds))
-    for k, branch in followed.items():
-        if len(branch.value) > 1 and is_new(kept, k) and not (k < beside and _is_known(kept, branch)):
-            new.append(branch)
-            kept.add(branch)
+    left = list(range(len(orbits.value)))
+    while left:  # again where one was on a branch that is dropped, as it begins on another, and goes further than that
+        with stage(f"branches of period {n} from {len(left)} orbits"):  # and back through bifurcations as well
+            wanted = _WantedOrbits(KnownBranches(family, [*tree.branches, *new], n), left, is_new)
+            followed = follow_both_ways(family, orbits.take(np.array(left)), steps, wanted, at_once)
+        for i, branch in followed.items():
+            k = left[i]
+            if len(branch.value) > 1 and is_new(kept, k) and not (k < beside and _is_known(kept, branch)):
+                new.append(branch)
+                kept.add(branch)
+        left = [k for i, k in enumerate(left) if i not in followed and is_new(kept, k)]
     return new
+
+
+class _WantedOrbits:
+    """Says which orbits are on no branch that is known or has been followed, and so begin one."""
+
+    def __init__(self, known: KnownBranches, orbits: Sequence[int], is_new: Callable[[KnownBranches, int], bool]):
+        self._known, self._orbits, self._is_new, self._seen = known, orbits, is_new, 0
+
+    def __call__(self, followed: Sequence[Branch], i: int) -> bool:
+        for branch in followed[self._seen :]:
+            self._known.add(branch)
+        self._seen = len(followed)
+        return self._is_new(self._known, self._orbits[i])
 
 
 def _at_once(family: Family, seeds: Sequence[SeedOrbit]) -> int:
