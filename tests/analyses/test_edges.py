@@ -109,6 +109,40 @@ def test_two_wells_of_a_map():
     assert np.all(both["shocks_tried"] == 2)
 
 
+TURN = 0.3
+"""Radians, by which the boundary of `oblique_wells` is turned: no direction that is tried is the least shock's."""
+
+
+def oblique_wells(a=1.0):
+    """s' = a s - s^3 along one axis, and along the other a decay with a clock: wells at s = ±√a, a boundary at s = 0."""
+    c, sine = np.cos(TURN), np.sin(TURN)
+
+    def rhs(y, t):
+        s, r = c * y[0] + sine * y[1], c * y[1] - sine * y[0]
+        s_rate, r_rate = a * s - s**3, -r * (1.0 + 0.5 * jnp.cos(2.0 * jnp.pi * t))
+        return c * s_rate - sine * r_rate, sine * s_rate + c * r_rate
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 1.0}
+
+
+def test_two_wells_of_a_flow():
+    """The least shock is √a across the boundary, in halves of the box."""
+    a = np.array([0.8, 1.0])
+    box = {"x": (-1.5, 1.5), "v": (-1.5, 1.5)}
+    options = jaxnh.Edges(box=box, n_starts=8, pairs=1, directions=8, shock_points=1, transient=32, max_periods=64)
+    data = (
+        jaxnh.Session(oblique_wells, start={"x": 0.3, "v": 0.1}, target=1e-8).run(options, a=a).isel(attractor=[0, 1])
+    )
+    assert np.all(data["attractors"] == 2)
+    assert words(data, "kind") == {"saddle_orbit"}
+    assert within(data, "x_edge", 0.0)
+    assert within(data, "multiplier", np.exp(a)[:, None])
+    assert within(data, "shock", np.sqrt(a)[:, None] / 1.5)
+    assert data["shock_error"].max() < 1e-6
+    assert np.abs(np.abs(data["x_shock"]) - np.cos(TURN) * np.sqrt(a)[:, None]).max() < 1e-4
+    assert data["shock_to"].values.tolist() == [[2, 1]] * 2
+
+
 @pytest.mark.slow
 def test_bars_cover():
     """Of 64 maps with two wells and 40 of Henon's: all numbers that are known in closed form are within their errors."""
