@@ -8,7 +8,7 @@ FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
 CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
-GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer suslov chaplygin_top appell_hamel parallel_velocities rotators thermostat nose_hoover speed_in_space switched_sleigh rubber_ball snakeboard two_wheeled_carriage pursuit two_particles rattleback discrete_lorenz
+GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer suslov chaplygin_top appell_hamel parallel_velocities rotators thermostat nose_hoover speed_in_space switched_sleigh rubber_ball snakeboard two_wheeled_carriage pursuit two_particles rattleback celtic_stone discrete_lorenz
 PAPER_FIGURES := paper_diagram paper_chart paper_sleigh
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
@@ -58,6 +58,7 @@ gallery_snakeboard: PICTURE := --size 130x90 --coordinates along
 gallery_two_wheeled_carriage: PICTURE := --size 130x90 --coordinates along
 gallery_pursuit: PICTURE := --size 130x90 --coordinates x
 gallery_rattleback: PICTURE := --size 150x180 --coordinates g1,w3
+gallery_celtic_stone: PICTURE := --size 130x90 --coordinates g2
 gallery_discrete_lorenz: PICTURE := --size 130x90 --coordinates g2
 $(addprefix gallery_,$(GALLERY)): gallery_%: $(INSTALLED)
 	$(RUN)/python -m jaxnh.sweep configs/nonholonomic/$*.yaml --output results/$@.h5 --fresh
