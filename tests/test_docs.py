@@ -50,6 +50,12 @@ def test_links_of_the_built_pages_stay_among_them(page):
         assert linked.exists(), target
 
 
+def test_the_changelog_says_nothing_twice():
+    begun = [line[:45] for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("- ")]
+    assert len(set(begun)) == len(begun)
+    assert not re.search("^(<{7}|={7}|>{7})", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_configs_load(page, tmp_path):
     """Those that are whole, with the user's files that the page writes."""
