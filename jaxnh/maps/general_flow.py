@@ -1,6 +1,6 @@
 """The strobe map of any flow by a Runge–Kutta method, each step projected on the constraints, on a grid of steps.
 
-The loop does the arithmetic of `solvers.diffrax_solvers.ProjectedSolver` under `diffrax.diffeqsolve`, and so many steps
+The loop does the arithmetic of steps and projections under `diffrax.diffeqsolve`, and so many steps
 are data: one program serves every accuracy. What the field makes of time alone is in a table (`time_tables`). Tangents
 and volume go along with the state, stage by stage, by the field's linearisation, which is the exact derivative of the
 steps. Solvers of diffrax run under `diffeqsolve` itself. Derivatives go through the constraints as well: in 2k

@@ -35,7 +35,7 @@ class KickStrobe(ReturnMap):
     """P by an isokinetic splitting: one loop over a table of kicks that all lanes share.
 
     The table is data: every splitting, any number of steps and any step grid run through the same compiled program
-    (tables grow by powers of two). It does the arithmetic of `SplittingSolver.step` under `diffrax.diffeqsolve`.
+    (tables grow by powers of two). It does the arithmetic of diffrax's own loop over such steps.
 
     Attributes:
         system: the flow as kicks see it (`IsokineticParticle.tabulated`): speed and clock are in the table.

@@ -29,13 +29,13 @@ from jaxnh.maps.general_flow import GeneralStrobe
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.plotting import results as figures
 from jaxnh.solvers import SOLVERS, SPLITTINGS
-from jaxnh.solvers.diffrax_solvers import ProjectedSolver
 from jaxnh.storage import hdf5 as store
 from jaxnh.systems import flow as flows
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.user_file import UserFile
 from tests.flows.particle import SYSTEMS
 from tests.helpers import taylor
+from tests.helpers.diffrax_solvers import ProjectedSolver
 from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
 from tests.helpers.paths import ROOT
 

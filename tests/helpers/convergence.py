@@ -11,11 +11,11 @@ import numpy as np
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting
-from jaxnh.solvers.diffrax_solvers import RungeKuttaSolver, SplittingSolver, isokinetic_terms
 from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM_B, CALM_STATES, P
 from tests.flows.particle import twin
 from tests.helpers import taylor
+from tests.helpers.diffrax_solvers import RungeKuttaSolver, SplittingSolver, isokinetic_terms
 from tests.helpers.measurement import apart
 
 FINEST = max(SPLITTINGS.values(), key=lambda solver: solver.convergence_order)

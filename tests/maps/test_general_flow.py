@@ -18,13 +18,14 @@ from jaxnh.maps.general_flow import general_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, dopri8, tsit5
-from jaxnh.solvers.diffrax_solvers import DiffraxSteps, ProjectedSolver
+from jaxnh.solvers.diffrax_solvers import DiffraxSteps
 from jaxnh.systems.free_particle import definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import disturbed_speed
 from tests.flows.calm_particle import CALM, image
 from tests.helpers.cases import some_slow
 from tests.helpers.convergence import check_derivatives
+from tests.helpers.diffrax_solvers import ProjectedSolver
 from tests.helpers.measurement import UNIT, apart
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")

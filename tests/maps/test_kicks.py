@@ -14,13 +14,13 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.solvers.diffrax_solvers import SplittingSolver, isokinetic_terms
 from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
 from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, P, image, one_lane, start_states, systems
 from tests.flows.particle import twin
 from tests.helpers import taylor
 from tests.helpers.cases import some_slow
 from tests.helpers.convergence import FINEST, derivatives_apart, size
+from tests.helpers.diffrax_solvers import SplittingSolver, isokinetic_terms
 from tests.helpers.measurement import apart
 
 # ---- one period

@@ -15,7 +15,7 @@ from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.cycles import hold_parameters as hold
 from jaxnh.orbits.collocation.equations import BoundarySolution
 from jaxnh.orbits.collocation.following import follow_cycles
-from jaxnh.orbits.collocation.homoclinic import homoclinic_orbit, saddle_at
+from jaxnh.orbits.collocation.homoclinic import saddle_at
 from jaxnh.orbits.collocation.newton import correct
 from jaxnh.orbits.collocation.paths import path_through
 from jaxnh.orbits.continuation.kinds import DOUBLING
@@ -25,6 +25,7 @@ from tests.flows.hopf_normal_form import OMEGA, hopf
 from tests.flows.lorenz import PARAMETERS, lorenz
 from tests.flows.roessler import doubling_of_roessler
 from tests.helpers.cycle_problems import first_cycle, problem_of
+from tests.helpers.homoclinic_orbit import homoclinic_orbit
 
 EPSILON = 0.01
 CANARD = 1 - EPSILON / 8 - 3 * EPSILON**2 / 32 - 173 * EPSILON**3 / 1024

@@ -15,12 +15,12 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SPLITTINGS, kick
-from jaxnh.solvers.diffrax_solvers import SplittingSolver, isokinetic_terms
 from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM
 from tests.flows.particle import LANES, STATES, SYSTEMS, B
 from tests.helpers.cases import some_slow
 from tests.helpers.convergence import order_of
+from tests.helpers.diffrax_solvers import SplittingSolver, isokinetic_terms
 from tests.helpers.measurement import UNIT
 
 systems = pytest.mark.parametrize("system", some_slow(SYSTEMS, "other"))  # which has all effects

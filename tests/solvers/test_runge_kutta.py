@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from jaxnh.solvers import RUNGE_KUTTA
-from jaxnh.solvers.diffrax_solvers import RungeKuttaSolver
 from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM
 from tests.flows.particle import STATES, SYSTEMS, B, twin
 from tests.helpers import taylor
 from tests.helpers.cases import some_slow
 from tests.helpers.convergence import order_of
+from tests.helpers.diffrax_solvers import RungeKuttaSolver
 from tests.helpers.measurement import UNIT, apart
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")

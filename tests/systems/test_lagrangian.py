@@ -12,18 +12,12 @@ import numpy as np
 import pytest
 
 from jaxnh.solvers import SOLVERS, SPLITTINGS
-from jaxnh.solvers.diffrax_solvers import (
-    DriftTerm,
-    KickTerm,
-    ProjectedSolver,
-    RungeKuttaSolver,
-    SplittingSolver,
-)
 from jaxnh.systems.flow import STATUS
 from jaxnh.systems.lagrangian import Equations, Motion, accelerations, lagrangian
 from tests.flows import sleigh
 from tests.flows.paper_equations import constrained_field
 from tests.flows.particle import SYSTEMS
+from tests.helpers.diffrax_solvers import DriftTerm, KickTerm, ProjectedSolver, RungeKuttaSolver, SplittingSolver
 
 MOMENTS = 200
 RNG = np.random.default_rng(21)
