@@ -7,7 +7,7 @@ dimension `LANE`, which the engine turns into the axes of the sweep.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -156,24 +156,15 @@ Starts = Callable[[LaneBatch], tuple[State, Int[np.ndarray, " starts"]]]
 """Batch to random start states of its lanes, and the number of the lane of each."""
 
 
-def _independent(options: Any) -> bool:
-    return True
+def number_lanes(options: Any, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
+    """Return the numbers of lanes: the `run` of an analysis that only its `whole` computes something for."""
+    return xr.Dataset({"lane_number": variable(LANE, np.arange(batch.count, dtype=np.int32), "number of a lane")})
 
 
-def _default_numbers(options: Any) -> int:
-    return 64
-
-
-def _no_starts(_: Any) -> None:
-    return None
-
-
-def _count_none(data: xr.Dataset) -> Mapping[str, int]:
-    return {}
-
-
-def _accept(options: Any, setting: Setting) -> None:
-    return None
+def check_names(analysis: str, own: Collection[str], setting: Setting) -> None:
+    """Check that no axis and no coordinate has a name that an analysis gives to a number of its own."""
+    for name in sorted({*setting.flow.coordinates, *(axis.name for axis in setting.axes)} & {*own}):
+        raise OptionError(f"{name} is what {analysis} calls a number of its own; rename it")
 
 
 def range_in_words(values: np.ndarray) -> str:
@@ -226,15 +217,15 @@ class Analysis:
     periods: Callable[[Any, int], float]
     run: Callable[..., xr.Dataset]
     whole: SweepReduction | None = None
-    independent: Callable[[Any], bool] = _independent
+    independent: Callable[[Any], bool] = lambda _: True
     stackable: bool = False
-    numbers: Callable[[Any], int] = _default_numbers
+    numbers: Callable[[Any], int] = lambda _: 64
     choose: Callable[[Any, LaneBatch, LaneRunner], Mapping[str, int]] | None = None
-    starts: Callable[[Any], Starts | None] = _no_starts
-    count: Callable[[xr.Dataset], Mapping[str, int]] = _count_none
+    starts: Callable[[Any], Starts | None] = lambda _: None
+    count: Callable[[xr.Dataset], Mapping[str, int]] = lambda _: {}
     classes: Callable[[xr.Dataset], Int[np.ndarray, ...]] | None = None
     smooth: tuple[str, ...] = ()
-    check: Callable[[Any, Setting], None] = _accept
+    check: Callable[[Any, Setting], None] = lambda _, __: None
     table: Callable[[xr.Dataset, Mapping[str, np.ndarray], str], Table] | None = None
     other_tables: Mapping[str, Callable[[xr.Dataset], Table]] = field(
         default_factory=dict[str, Callable[[xr.Dataset], Table]]

@@ -6,11 +6,11 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar, overload
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.maps.build import make_return_map, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
@@ -21,7 +21,7 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import UNSAID, Flow, Parameters
-from jaxnh.systems.state import State
+from jaxnh.systems.state import LaneStates, State
 
 
 @dataclass(frozen=True)
@@ -245,12 +245,19 @@ class Link(NamedTuple):
     keep: Callable[[Any], tuple[Any, Any]] = keep_all
 
 
-class LaneRunner(Protocol):
-    """Runs a per-lane function over any number of lanes (`jaxnh.engine.executor.lanes.LaneExecutor`)."""
+Result = TypeVar("Result")
 
+
+class LaneRunner(Protocol):
+    """Runs a per-lane function over any number of lanes (`jaxnh.engine.executor.lanes.LaneExecutor`).
+
+    What comes back has the type of the function's result, of NumPy's arrays: a record stays a record.
+    """
+
+    @overload
     def __call__(
         self,
-        function: Callable[..., Any],
+        function: Callable[..., Array],
         shared: tuple[Any, ...],
         lanes: tuple[Any, ...],
         *,
@@ -258,14 +265,27 @@ class LaneRunner(Protocol):
         tile: int | None = None,
         static: tuple[Any, ...] = (),
         spread: bool = True,
-    ) -> Any:
+    ) -> np.ndarray: ...
+
+    @overload
+    def __call__(
+        self,
+        function: Callable[..., Result],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        *,
+        periods: float = 0.0,
+        tile: int | None = None,
+        static: tuple[Any, ...] = (),
+        spread: bool = True,
+    ) -> Result:
         """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
 
-    def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
+    def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> LaneStates:
         """Return Pⁿ of every lane, in as many calls as are needed to let a run be stopped in time."""
         ...
 
-    def record(self, maps: Maps, count: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
+    def record(self, maps: Maps, count: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> LaneStates:
         """Return the states of every lane after 1, 2, …, count periods, components (lanes, count)."""
         ...
 
@@ -278,7 +298,7 @@ class LaneRunner(Protocol):
         shared: tuple[Any, ...],
         *,
         tile: int | None = None,
-    ) -> tuple[Any, State]:
+    ) -> tuple[Any, LaneStates]:
         """Return function(*shared, state) of the states of `record`, (lanes, count, …), and the last of them."""
         ...
 

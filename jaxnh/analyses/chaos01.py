@@ -45,11 +45,6 @@ Signals = tuple[Float[Array, " points"], ...]
 """Observables of one motion over strobe points."""
 
 
-def periods(options: Chaos01Options, lanes: int) -> float:
-    """Return the lane-periods of a run."""
-    return float(lanes * (options.transient + options.periods))
-
-
 def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Compute K of every lane, the median over angles, and half the distance between their quartiles."""
     # Fixed angles, spread evenly over (π/5, 4π/5) by the golden ratio: no resonance is shared by many of them.
@@ -155,5 +150,11 @@ def price(options: Chaos01Options, batch: LaneBatch) -> Price:
     return Price(program, map_alone(batch, strobe, tile=_TILE), note)
 
 
-ANALYSIS = Analysis("chaos01", Chaos01Options, periods, run, price=price, brief={"transient": 1})
-"""The entry of this analysis in the table."""
+ANALYSIS = Analysis(
+    "chaos01",
+    Chaos01Options,
+    lambda options, lanes: float(lanes * (options.transient + options.periods)),
+    run,
+    price=price,
+    brief={"transient": 1},
+)

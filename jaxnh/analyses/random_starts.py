@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.base import OptionError, Setting
+from jaxnh.analyses.base import OptionError, Setting, Starts
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.maps.section import begin
 from jaxnh.systems.flow import Flow
@@ -56,12 +57,18 @@ def random_start_batch(
     count = int(places.max()) - first + 1
     draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first].reshape(-1, len(box))
     drawn = {name: low + (high - low) * draws[:, k] for k, (name, (low, high)) in enumerate(box.items())}
-    coordinates = batch.flow.outputs(jax.tree.map(_as_path, batch.without_section().start), np.zeros(1))
+    coordinates = batch.flow.outputs(jax.tree.map(lambda x: x[:, None], batch.without_section().start), np.zeros(1))
     others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in coordinates.items()}
     p = {name: np.repeat(values, starts) for name, values in batch.p.items()}
     state = begin(batch.system, batch.flow.start(others | drawn))
     return replace(batch, start=state, p=p, place=np.repeat(places, starts), axis=None), drawn
 
 
-def _as_path(leaf: np.ndarray) -> np.ndarray:
-    return leaf[:, None]
+def draw_starts(options: Any) -> Starts | None:
+    """Return the draw of the random starts that options with `n_starts`, `seed` and a `box` ask for, if any."""
+    if not options.n_starts:
+        return None
+    return lambda batch: (
+        random_start_batch(batch, options.n_starts, options.seed, options.box)[0].start,
+        np.repeat(np.arange(batch.count), options.n_starts),
+    )

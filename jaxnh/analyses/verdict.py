@@ -92,11 +92,6 @@ _STEADY = 1e-5  # of the size of what averages are taken of
 _SHARE, _USUAL = 0.2, 1536  # of lanes that look chaotic, and how long their criteria took: for the expected work
 
 
-def periods(options: VerdictOptions, lanes: int) -> float:
-    """Return the lane-periods of a run beyond the analyses that it needs, for a usual share of chaotic lanes."""
-    return _SHARE * lanes * (options.confirmation_factor * _USUAL + 3 * _LONGEST)
-
-
 def run(options: VerdictOptions, batch: LaneBatch, lanes: LaneRunner, done: Mapping[str, xr.Dataset]) -> xr.Dataset:
     """Return the verdict of every lane from the datasets `period`, `lyapunov` and `chaos01` of the same lanes."""
     period, lyapunov = done["period"], done["lyapunov"]
@@ -379,9 +374,8 @@ def price(options: VerdictOptions, batch: LaneBatch) -> Price:
 ANALYSIS = Analysis(
     "verdict",
     VerdictOptions,
-    periods,
+    lambda options, lanes: _SHARE * lanes * (options.confirmation_factor * _USUAL + 3 * _LONGEST),
     run,
     classes=kind_of_lanes,
     price=price,
 )
-"""The entry of this analysis in the table."""

@@ -26,7 +26,7 @@ from jaxnh.maps.build import make_parts
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters
-from jaxnh.systems.state import State
+from jaxnh.systems.state import LaneStates, State
 
 _STILL = 1e-9  # of its modulus: a coordinate that changes by no more is at rest
 _MOST_PARTS = 8
@@ -49,7 +49,7 @@ class WindowAverages(NamedTuple):
         path: how far each has gone to and fro, (d,).
     """
 
-    state: State
+    state: LaneStates
     whole: Float[Array, " F"]
     halves: Float[Array, "2 F"]
     blocks: Float[Array, "blocks F"]
@@ -66,7 +66,7 @@ class WindowAverages(NamedTuple):
 class _Sums(NamedTuple):
     """Sums over periods, and the range so far."""
 
-    state: State
+    state: LaneStates
     whole: Array
     halves: Array
     block: Array

@@ -23,6 +23,12 @@ Vector = tuple[Number, ...]
 State = Any
 """A pytree of components of shape (...,): (q, n) of a particle at a prescribed speed, `Motion`, `Crossing`."""
 
+LaneStates = tuple[Any, ...]
+"""The states of lanes side by side, a pytree of NumPy arrays (lanes, ...): every kind of state is a tuple of its parts.
+
+Records that go from one function of lanes to the next have this type and not `State`, which any value passes for.
+"""
+
 
 @functools.singledispatch
 def error_components(y: State) -> State:

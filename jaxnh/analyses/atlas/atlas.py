@@ -16,7 +16,6 @@ import xarray as xr
 from jaxnh.analyses.atlas.links import NONE, curve_through
 from jaxnh.analyses.atlas.rows import stack_rows
 from jaxnh.analyses.base import (
-    LANE,
     Analysis,
     Entry,
     OptionError,
@@ -24,6 +23,7 @@ from jaxnh.analyses.base import (
     SweepLanes,
     SweepReduction,
     Table,
+    number_lanes,
     number_variable,
     variable,
 )
@@ -56,11 +56,6 @@ class _Row(NamedTuple):
     batch: LaneBatch
     grown: list[FollowedBranches]
     windows: xr.Dataset
-
-
-def periods(options: AtlasOptions, lanes: int) -> float:
-    """Return the lane-periods of a run: a guess, as the number of curves is not known."""
-    return _WORK * options.n_values * lanes**0.5 * (options.transient + 8 * options.max_period)
 
 
 def numbers(options: AtlasOptions) -> int:
@@ -99,11 +94,6 @@ def _shared(options: AtlasOptions, of: type, *names: str) -> dict[str, Any]:
     steps = ("ds", "ds_min", "ds_max", "max_steps")
     given = {name: getattr(options, name) for name in (*steps, *names) if name in options.model_fields_set}
     return given | {"max_period": options.max_period, "transient": options.transient}
-
-
-def run(options: AtlasOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Nothing: only lanes at a few values of the second axis are looked at, once all are there."""
-    return xr.Dataset({"lane_number": variable(LANE, np.arange(batch.count, dtype=np.int32), "number of a lane")})
 
 
 def whole(options: AtlasOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
@@ -224,8 +214,9 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
 ANALYSIS = Analysis(
     "atlas",
     AtlasOptions,
-    periods,
-    run,
+    # a guess, as the number of curves is not known
+    lambda options, lanes: _WORK * options.n_values * lanes**0.5 * (options.transient + 8 * options.max_period),
+    number_lanes,  # only those at a few values of the second axis are looked at, once all are there
     whole=SweepReduction(("branches", "bifurcations", "windows", "curves", "codimension_two", "curve_orbits"), whole),
     numbers=numbers,
     check=check,
@@ -233,4 +224,3 @@ ANALYSIS = Analysis(
     price=price_of_orbits,
     brief={"transient": 1, "max_period": 1, "n_values": 1},
 )
-"""The entry of this analysis in the table."""

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
-from jaxnh.analyses.base import LANE, Analysis, Setting, Starts, SweepLanes, SweepReduction, variable
+from jaxnh.analyses.base import LANE, Analysis, Setting, SweepLanes, SweepReduction, variable
 from jaxnh.analyses.basins.boundary import boundary_variables, check_plane
 from jaxnh.analyses.basins.classification import POINTS, Attractors
 from jaxnh.analyses.basins.clustering import find_attractors, join_attractors
@@ -29,7 +29,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attr
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.basins import BasinsOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.random_starts import check_box, random_start_batch
+from jaxnh.analyses.random_starts import check_box, draw_starts, random_start_batch
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
 from jaxnh.maps.section import outputs
@@ -43,11 +43,6 @@ _USUAL = 2.0  # looks as long as the transient that most lanes take, the transie
 def periods(options: BasinsOptions, lanes: int) -> float:
     """Return the lane-periods of a run."""
     return _USUAL * options.transient * lanes * max(1, options.n_starts)
-
-
-def numbers(options: BasinsOptions) -> int:
-    """Return how many numbers a lane leaves, the blocks of a window among them."""
-    return 12 * BLOCKS * max(1, options.n_starts)
 
 
 def check(options: BasinsOptions, setting: Setting) -> None:
@@ -162,13 +157,6 @@ def _draw_starts(options: BasinsOptions, batch: LaneBatch) -> tuple[LaneBatch, d
     return random_start_batch(batch, options.n_starts, options.seed, options.box) if options.n_starts else (batch, {})
 
 
-def starts(options: BasinsOptions) -> Starts | None:
-    """Return the function that draws random starts, if there are any."""
-    if not options.n_starts:
-        return None
-    return lambda batch: (_draw_starts(options, batch)[0].start, np.repeat(np.arange(batch.count), options.n_starts))
-
-
 def _grid(sweep: SweepLanes, own: Sequence[int], point: Int[np.ndarray, " lanes"]) -> Grid:
     """Return the values of the axes that are parameters, each with its first lane."""
     first = np.unique(point, return_index=True)[1]
@@ -246,23 +234,17 @@ def price(options: BasinsOptions, batch: LaneBatch) -> Price:
     return Price(program, map_alone(batch), "means of every coordinate and its square")
 
 
-def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
-    """Return the number of the attractor, 0: undecided, -1: failed; random starts are in the last dimension."""
-    return data["attractor"].to_numpy()
-
-
 ANALYSIS = Analysis(
     "basins",
     BasinsOptions,
     periods,
     run,
     whole=SweepReduction(("attractors",), reduce),
-    numbers=numbers,
+    numbers=lambda options: 12 * BLOCKS * max(1, options.n_starts),
     choose=choose,
-    starts=starts,
-    classes=classes,
+    starts=draw_starts,
+    classes=lambda data: data["attractor"].to_numpy(),
     check=check,
     price=price,
     brief={"transient": 2 * BLOCKS},
 )
-"""The entry of this analysis in the table."""

@@ -26,11 +26,7 @@ from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 from jaxnh.analyses.options.orbits import DoublingOptions
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits
 from jaxnh.analyses.periodic.sensitivities import doubling_sensitivities
-from jaxnh.analyses.periodic.sensitivity_tables import (
-    absent_words,
-    sensitivity_variables,
-    sensitivity_words,
-)
+from jaxnh.analyses.periodic.sensitivity_tables import absent_words, sensitivity_variables, sensitivity_words
 from jaxnh.maps.section import System
 
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
@@ -41,16 +37,6 @@ _MOST_SHOWN = 16  # cascades in a table of many
 _ROUNDING = 1e-14  # of points of an orbit, in sizes of the motion
 _DIGITS = 4  # of a limit in words, at least
 _LEVELS = 12  # of float64, of which the distances of doublings are then 1e-9 of the first
-
-
-def periods(options: DoublingOptions, lanes: int) -> float:
-    """Lane-periods of a run, Newton's iterations at their price: the survey, and as much again for the orbits."""
-    return 2.0 * lanes * (TRANSIENT + 2 * survey_limit(options.levels))
-
-
-def independent(options: DoublingOptions) -> bool:
-    """Return False: a cascade comes from comparing neighbouring lanes."""
-    return False
 
 
 def check(options: DoublingOptions, setting: Setting) -> None:
@@ -296,11 +282,10 @@ def _cell(text: str) -> str:
 ANALYSIS = Analysis(
     "doubling",
     DoublingOptions,
-    periods,
+    lambda options, lanes: 2.0 * lanes * (TRANSIENT + 2 * survey_limit(options.levels)),
     run,
-    independent=independent,
+    independent=lambda _: False,
     check=check,
     table=table,
     price=price_of_orbits,
 )
-"""The entry of this analysis in the table."""

@@ -17,16 +17,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import (
-    LANE,
-    Analysis,
-    OptionError,
-    Setting,
-    SweepLanes,
-    SweepReduction,
-    Table,
-    variable,
-)
+from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, SweepLanes, SweepReduction, Table, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.cycle_points import durations, tree_of_cycles
 from jaxnh.analyses.continuation.cycles import grow_cycles
@@ -62,16 +53,6 @@ class SettledOrbits(NamedTuple):
     period: Int[np.ndarray, " lanes"]
     u: Float[np.ndarray, "lanes d"]
     size: Float[np.ndarray, "lanes d"]
-
-
-def periods(options: BranchesOptions, lanes: int) -> float:
-    """Lane-periods of a run: a guess, as nobody knows how many branches there are."""
-    return _WORK * lanes * (options.transient + 2 * options.max_period)
-
-
-def numbers(options: BranchesOptions) -> int:
-    """Numbers that a lane needs: the points it is judged by."""
-    return 6 * options.max_period
 
 
 def check(options: BranchesOptions, setting: Setting) -> None:
@@ -205,14 +186,14 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
 ANALYSIS = Analysis(
     "branches",
     BranchesOptions,
-    periods,
+    # a guess, as nobody knows how many branches there are
+    lambda options, lanes: _WORK * lanes * (options.transient + 2 * options.max_period),
     run,
     whole=SweepReduction(("bifurcations",), whole),
-    numbers=numbers,
+    numbers=lambda options: 6 * options.max_period,
     check=check,
     table=table,
     other_tables={"bifurcations": bifurcations_table},
     price=price_of_orbits,
     brief={"transient": 1, "max_period": 1},
 )
-"""The entry of this analysis in the table."""

@@ -14,15 +14,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import (
-    LANE,
-    Analysis,
-    OptionError,
-    Setting,
-    SweepLanes,
-    SweepReduction,
-    variable,
-)
+from jaxnh.analyses.base import Analysis, Setting, SweepLanes, SweepReduction, check_names, number_lanes
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.condition_curves import (
     ConditionCurve,
@@ -30,13 +22,7 @@ from jaxnh.analyses.continuation.condition_curves import (
     condition_curves,
     conditions_of,
 )
-from jaxnh.analyses.continuation.curve_tables import (
-    CurvePoint,
-    CurveSet,
-    curves_dataset,
-    curves_table,
-    special_dataset,
-)
+from jaxnh.analyses.continuation.curve_tables import CurvePoint, CurveSet, curves_dataset, curves_table, special_dataset
 from jaxnh.analyses.continuation.cycle_curves import cycle_seeds
 from jaxnh.analyses.continuation.equilibria import check_equilibria, section_plane
 from jaxnh.analyses.continuation.equilibrium_curves import EquilibriumCurves, equilibrium_curves, rounding_errors
@@ -86,16 +72,6 @@ class KnownBifurcations(NamedTuple):
     rows: Iterable[Sequence[CurveSeed]]
 
 
-def periods(options: CurvesOptions, lanes: int) -> float:
-    """Lane-periods of a run: a guess, as nobody knows how many curves there are."""
-    return _WORK * options.n_values * lanes**0.5 * (options.transient + 2 * options.max_period)
-
-
-def numbers(options: CurvesOptions) -> int:
-    """Numbers that a lane leaves."""
-    return 1
-
-
 def check(options: CurvesOptions, setting: Setting) -> None:
     """Check that there are two axes, parameters that lanes may differ in, of more than one value each."""
     check_plane("curves", setting)
@@ -109,13 +85,7 @@ def check(options: CurvesOptions, setting: Setting) -> None:
     if options.conditional:
         check_conditions(options, setting)
         own |= {"condition", "duration"}
-    for name in {*names, *setting.flow.coordinates} & own:
-        raise OptionError(f"{name} is what curves calls a number of its own; rename it")
-
-
-def run(options: CurvesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Nothing: only lanes at a few values of the second axis are looked at, once all are there."""
-    return xr.Dataset({"lane_number": variable(LANE, np.arange(batch.count, dtype=np.int32), "number of a lane")})
+    check_names("curves", own, setting)
 
 
 def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
@@ -306,13 +276,13 @@ def _passes(plane: ParameterPlane, curve: Curve, seed: CurveSeed) -> bool:
 ANALYSIS = Analysis(
     "curves",
     CurvesOptions,
-    periods,
-    run,
+    # a guess, as nobody knows how many curves there are
+    lambda options, lanes: _WORK * options.n_values * lanes**0.5 * (options.transient + 2 * options.max_period),
+    number_lanes,  # only those at a few values of the second axis are looked at, once all are there
     whole=SweepReduction(("codimension_two",), whole),
-    numbers=numbers,
+    numbers=lambda _: 1,
     check=check,
     table=curves_table,
     price=price_of_orbits,
     brief={"transient": 1, "max_period": 1, "n_values": 1},
 )
-"""The entry of this analysis in the table."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -113,7 +114,7 @@ def equilibrium_family(
         if not len(u):
             return _nothing(u)
         p, still = batch.at_values(values).p, np.zeros(len(u))
-        at = lanes(point_rates, (batch.flow,), (u, still, p), tile=_TILE, static=((name,),))
+        at: Any = lanes(point_rates, (batch.flow,), (u, still, p), tile=_TILE, static=((name,),))
         return Derivatives(u + at.rate, np.eye(u.shape[1]) + at.jacobian, at.by_parameters[..., 0])
 
     return Family(period, batch.chart.wrap, size, *ends, field=True)

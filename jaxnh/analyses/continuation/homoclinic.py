@@ -14,7 +14,6 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import (
-    LANE,
     Analysis,
     Entry,
     OptionError,
@@ -22,31 +21,22 @@ from jaxnh.analyses.base import (
     SweepLanes,
     SweepReduction,
     Table,
+    check_names,
     flag,
+    number_lanes,
     variable,
 )
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shooting, connection_seeds, saddle_chains
 from jaxnh.analyses.continuation.cycle_connections import seeds_from_cycles
 from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
-from jaxnh.analyses.continuation.families import (
-    check_plane,
-    lanes_along,
-    step_control,
-    values_searched,
-)
+from jaxnh.analyses.continuation.families import check_plane, lanes_along, step_control, values_searched
 from jaxnh.analyses.continuation.tables import special_kinds, special_values
 from jaxnh.analyses.options.orbits import HomoclinicOptions
 from jaxnh.analyses.periodic.flow_cycles import flow_problem, no_collocation
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.orbits.bifurcations.connection_points import (
-    POINTS,
-    TYPES,
-    SpecialConnection,
-    leading,
-    special_connections,
-)
+from jaxnh.orbits.bifurcations.connection_points import POINTS, TYPES, SpecialConnection, leading, special_connections
 from jaxnh.orbits.collocation.connection_joins import is_on_curve, join_connections
 from jaxnh.orbits.collocation.connection_meshes import Connection, refined
 from jaxnh.orbits.collocation.connections import ConnectionCurve, connection_near, follow_connections
@@ -80,11 +70,6 @@ class FollowedConnections(NamedTuple):
     special: list[SpecialConnection]
 
 
-def periods(options: HomoclinicOptions, lanes: int) -> float:
-    """Lane-periods of a run: a guess, as nobody knows how many saddles there are."""
-    return 2.0 * options.n_values * lanes**0.5 * options.duration
-
-
 def numbers(options: HomoclinicOptions) -> int:
     """Numbers that a lane leaves."""
     return 1
@@ -100,15 +85,7 @@ def check(options: HomoclinicOptions, setting: Setting) -> None:
     if not options.box:
         raise OptionError("needs a box to draw the starts of Newton for saddles from", "box")
     check_box(options.box, setting, "box")
-    names = [axis.name for axis in setting.axes]
-    own = {*_OWN_NAMES, *(f"{name}_error" for name in names)}
-    for name in sorted({*names, *setting.flow.coordinates} & own):
-        raise OptionError(f"{name} is what homoclinic calls a number of its own; rename it")
-
-
-def run(options: HomoclinicOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Nothing: only lanes at a few values of the second axis are looked at, once all are there."""
-    return xr.Dataset({"lane_number": variable(LANE, np.arange(batch.count, dtype=np.int32), "number of a lane")})
+    check_names("homoclinic", {*_OWN_NAMES, *(f"{axis.name}_error" for axis in setting.axes)}, setting)
 
 
 def whole(
@@ -312,8 +289,9 @@ def price(options: HomoclinicOptions, batch: LaneBatch) -> Price:
 ANALYSIS = Analysis(
     "homoclinic",
     HomoclinicOptions,
-    periods,
-    run,
+    # a guess, as nobody knows how many saddles there are
+    lambda options, lanes: 2.0 * options.n_values * lanes**0.5 * options.duration,
+    number_lanes,  # only those at a few values of the second axis are looked at, once all are there
     whole=SweepReduction(("connecting_orbits",), whole),
     numbers=numbers,
     check=check,
@@ -321,4 +299,3 @@ ANALYSIS = Analysis(
     price=price,
     brief={"duration": 1, "n_values": 1, "n_starts": 1},
 )
-"""The entry of this analysis in the table."""

@@ -41,7 +41,7 @@ from jaxnh.analyses.section_points import points_at
 from jaxnh.analyses.trajectories.states import check_transient, section_attrs, settle_lanes
 from jaxnh.maps.iterate import derivative_and_volume
 from jaxnh.maps.section import reports
-from jaxnh.systems.state import State, is_finite
+from jaxnh.systems.state import LaneStates, is_finite
 
 _DERIVATIVE = 7.0  # periods that one with three tangents takes as long as, for the expected work
 _SETTLING = 8  # part of the strobes that either sweep takes more
@@ -63,7 +63,7 @@ class Motions(NamedTuple):
         sound: whether all of it is finite and no matrix is zero, (lanes,).
     """
 
-    states: State
+    states: LaneStates
     u: Float[np.ndarray, "lanes points d"]
     matrices: Float[np.ndarray, "lanes points d d"]
     volumes: Float[np.ndarray, "lanes points"]
@@ -234,4 +234,3 @@ ANALYSIS = Analysis(
     price=price,
     brief={"transient": 1, "strobes": 256},
 )
-"""The entry of this analysis in the table."""

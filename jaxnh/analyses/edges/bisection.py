@@ -59,8 +59,8 @@ def label_points(
     if not len(lane):
         return u, lane
     p = select(dict(space.batch.p), lane)
-    u, state = lanes(on_constraints, (space.batch.system,), (u, p), tile=TILE)
-    return np.array(u), destinations(of, lanes, state, lane)
+    moved, state = lanes(on_constraints, (space.batch.system,), (u, p), tile=TILE)
+    return np.array(moved), destinations(of, lanes, state, lane)
 
 
 def narrow(

@@ -12,17 +12,10 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import Analysis, OptionError, Setting, Starts
+from jaxnh.analyses.base import Analysis, OptionError, Setting, check_names
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.edges.bisection import Bracket, Space
-from jaxnh.analyses.edges.destinations import (
-    MOST,
-    UNDECIDED,
-    Destinations,
-    LaneAttractors,
-    lane_attractors,
-    turns_of,
-)
+from jaxnh.analyses.edges.destinations import MOST, UNDECIDED, Destinations, LaneAttractors, lane_attractors, turns_of
 from jaxnh.analyses.edges.shocks import Shocks, directions_in, least_shocks
 from jaxnh.analyses.edges.tables import OWN_NAMES, Edges, table, variables
 from jaxnh.analyses.edges.tracking import track_edges
@@ -30,7 +23,7 @@ from jaxnh.analyses.manifolds.saddles import extent
 from jaxnh.analyses.options.basins import EdgesOptions
 from jaxnh.analyses.periodic.attractor_survey import first_points
 from jaxnh.analyses.periodic.location import price_of_orbits
-from jaxnh.analyses.random_starts import check_box, random_start_batch
+from jaxnh.analyses.random_starts import check_box, draw_starts, random_start_batch
 from jaxnh.analyses.trajectories.states import section_attrs
 
 _USUAL = 64.0  # periods that a state takes to its attractor, for the expected work
@@ -53,9 +46,7 @@ def check(options: EdgesOptions, setting: Setting) -> None:
     if not options.box:
         raise OptionError("needs a box to draw its starts from", "box")
     check_box(options.box, setting, "box")
-    taken = {*setting.flow.coordinates, *(axis.name for axis in setting.axes)}
-    for name in sorted(taken & set(OWN_NAMES)):
-        raise OptionError(f"{name} is what edges calls a number of its own; rename it")
+    check_names("edges", OWN_NAMES, setting)
 
 
 def run(options: EdgesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -140,24 +131,15 @@ def _points(known: Sequence[LaneAttractors], most: int, d: int) -> Shocks:
     )
 
 
-def starts(options: EdgesOptions) -> Starts | None:
-    """Return the function that draws the random starts."""
-    return lambda batch: (
-        random_start_batch(batch, options.n_starts, options.seed, options.box)[0].start,
-        np.repeat(np.arange(batch.count), options.n_starts),
-    )
-
-
 ANALYSIS = Analysis(
     "edges",
     EdgesOptions,
     periods,
     run,
     numbers=numbers,
-    starts=starts,
+    starts=draw_starts,
     check=check,
     table=table,
     price=price_of_orbits,
     brief={"n_starts": 4, "pairs": 1, "directions": 0, "max_returns": 64},
 )
-"""The entry of this analysis in the table."""

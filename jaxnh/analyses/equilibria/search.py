@@ -82,7 +82,8 @@ def _rounding(batch: LaneBatch, size: Float[np.ndarray, "lanes d"]) -> Float[np.
 def _fields(
     batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
 ) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d d"]]:
-    return lanes(_field, (batch.flow,), (u, dict(batch.p)))
+    rate, jacobian = lanes(_field, (batch.flow,), (u, dict(batch.p)))
+    return np.asarray(rate), np.asarray(jacobian)
 
 
 def _field(flow: Flow, u: Float[Array, " d"], p: Parameters) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from jaxnh.analyses.exponents.from_orbits import OrbitExponents
 from jaxnh.analyses.exponents.tangent_growth import TangentState
 from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.level import constraint_gradients, log_area
-from jaxnh.systems.state import State
+from jaxnh.systems.state import LaneStates
 
 SOURCES = ("average", "smooth_average", "orbit", "equilibrium")
 """Meanings of the flags 0 to 3 of `exponents_method`."""
@@ -34,7 +34,7 @@ class Averages(NamedTuple):
         settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
     """
 
-    begun: State
+    begun: LaneStates
     growth: TangentState
     rates: Float[np.ndarray, "lanes blocks sums"]
     smooth: Float[np.ndarray, "lanes 3 sums"]

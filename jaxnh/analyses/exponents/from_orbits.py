@@ -17,7 +17,7 @@ from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns,
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images, orbits
 from jaxnh.analyses.section_points import states_at
-from jaxnh.systems.state import State
+from jaxnh.systems.state import LaneStates
 
 _LONGEST = 64  # period of an orbit that is looked for
 _SEEN = 1e-6  # a multiplier below this share of the monodromy matrix is left to tangents
@@ -62,7 +62,7 @@ class EarlyOrbits(NamedTuple):
     """
 
     survey: Survey
-    state: State
+    state: LaneStates
     periods: int
 
     @property

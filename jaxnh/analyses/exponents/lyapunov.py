@@ -395,4 +395,3 @@ ANALYSIS = Analysis(
     price=price,
     brief={"transient": 1, "periods": BLOCKS},
 )
-"""The entry of this analysis in the table."""

@@ -30,7 +30,7 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.state import State, Vector, is_finite
+from jaxnh.systems.state import LaneStates, State, Vector, is_finite
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
@@ -51,7 +51,7 @@ class TangentState(NamedTuple):
         loss: largest logarithm by which the last tangent shrank against the first in one part of a period.
     """
 
-    state: State
+    state: LaneStates
     tangents: tuple[Vector, ...]
     logs: tuple[Array, ...]
     volume: Array

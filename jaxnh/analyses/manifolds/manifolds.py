@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import Analysis, OptionError, Setting
+from jaxnh.analyses.base import Analysis, OptionError, Setting, check_names
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import BranchSet, Side, grow_branches, has_branches, side_of
 from jaxnh.analyses.manifolds.crossings import (
@@ -44,11 +44,6 @@ def periods(options: ManifoldsOptions, lanes: int) -> float:
     return lanes * (options.n_starts * options.period * 60.0 + 2 * _RETURNS * points)
 
 
-def numbers(options: ManifoldsOptions) -> int:
-    """Return how many numbers a lane leaves."""
-    return 3 * options.saddles * 4 * options.period * options.max_points
-
-
 def check(options: ManifoldsOptions, setting: Setting) -> None:
     """Check the box, names, and that there are curves to grow and a parameter to move."""
     flow = setting.flow
@@ -56,9 +51,7 @@ def check(options: ManifoldsOptions, setting: Setting) -> None:
         raise OptionError("manifolds are curves among other directions of the map, and it has one alone")
     if not options.box:
         raise OptionError("needs a box to draw the starts of Newton from", "box")
-    taken = {*flow.coordinates, *(axis.name for axis in setting.axes)}
-    for name in sorted(taken & set(OWN_NAMES)):
-        raise OptionError(f"{name} is what manifolds calls a number of its own; rename it")
+    check_names("manifolds", OWN_NAMES, setting)
     check_box(options.box, setting, "box")
     movable = [axis.name for axis in setting.axes if axis.kind == "lane"]
     if options.tangency is not None and options.tangency not in movable:
@@ -208,10 +201,9 @@ ANALYSIS = Analysis(
     ManifoldsOptions,
     periods,
     run,
-    numbers=numbers,
+    numbers=lambda options: 3 * options.saddles * 4 * options.period * options.max_points,
     check=check,
     table=table,
     price=price_of_orbits,
     brief={"period": 1, "n_starts": 4, "max_points": 16, "crossings": 0},
 )
-"""The entry of this analysis in the table."""

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, SweepLanes, SweepReduction, variable
+from jaxnh.analyses.base import LANE, Analysis, Setting, SweepLanes, SweepReduction, check_names, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import OrbitsOptions
 from jaxnh.analyses.orbits.averages import cycle_variables, motion_variables
@@ -41,9 +41,7 @@ def periods(options: OrbitsOptions, lanes: int) -> float:
 
 def check(options: OrbitsOptions, setting: Setting) -> None:
     """Check the box of random starts, and that no parameter or coordinate has a name that the group needs."""
-    taken = {*setting.flow.coordinates, *(axis.name for axis in setting.axes)}
-    for name in sorted(taken & set(OWN_NAMES)):
-        raise OptionError(f"{name} is what orbits calls a number of its own; rename it")
+    check_names("orbits", OWN_NAMES, setting)
     if options.box:
         check_box(options.box, setting, "box")
 
@@ -123,4 +121,3 @@ ANALYSIS = Analysis(
     price=price_of_orbits,
     brief={"transient": 1, "max_period": 1},
 )
-"""The entry of this analysis in the table."""

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, Entry, Setting, as_variable, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
@@ -16,18 +15,8 @@ from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.periodic.phase_response import check_phase_response, phase_response_variables
 from jaxnh.analyses.periodic.sensitivities import lane_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import sensitivity_variables
-from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.price import newton_price
 from jaxnh.systems.flow import NOT_FINITE, status
-
-
-def periods(options: PeriodOptions, lanes: int) -> float:
-    """Lane-periods of a run: the transient, the points looked at, and as much again for Newton."""
-    return 2.0 * lanes * (options.transient + 2 * options.max_period)
-
-
-def numbers(options: PeriodOptions) -> int:
-    """Numbers that a lane needs: the strobe points it is judged by."""
-    return 6 * options.max_period + 4 * (options.phase_response or 0)
 
 
 def check(options: PeriodOptions, setting: Setting) -> None:
@@ -71,26 +60,15 @@ def _sensitivities(batch: LaneBatch, lanes: LaneRunner, attractors: Survey) -> d
     return variables
 
 
-def price(options: PeriodOptions, batch: LaneBatch) -> Price:
-    """Orbits and their multipliers need the derivatives of a period; before them comes the map alone."""
-    return newton_price(batch, ORBIT_TILE)
-
-
-def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
-    """Kind of motion: the period, 0 where there is none, -1 where the state is not finite."""
-    return np.where(data["status"].to_numpy() > 0, -1, data["period"].to_numpy())
-
-
 ANALYSIS = Analysis(
     "period",
     PeriodOptions,
-    periods,
+    lambda options, lanes: 2.0 * lanes * (options.transient + 2 * options.max_period),
     run,
     stackable=True,
-    numbers=numbers,
-    classes=classes,
+    numbers=lambda options: 6 * options.max_period + 4 * (options.phase_response or 0),
+    classes=lambda data: np.where(data["status"].to_numpy() > 0, -1, data["period"].to_numpy()),
     check=check,
-    price=price,
+    price=lambda _, batch: newton_price(batch, ORBIT_TILE),
     brief={"transient": 1, "max_period": 1},
 )
-"""The entry of this analysis in the table."""

@@ -109,11 +109,6 @@ def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     return {"reversal": reversal, **lyapunov.choose(_of_exponents(options, batch), batch, lanes)}
 
 
-def _independent(options: ReversalOptions) -> bool:
-    """Return False where symmetric orbits are wanted: they may be at values of the parameter between lanes."""
-    return not options.max_period
-
-
 def _of_exponents(options: ReversalOptions, batch: LaneBatch) -> LyapunovOptions:
     return LyapunovOptions(transient=options.transient, periods=options.periods, exponents=batch.flow.exponents)
 
@@ -303,7 +298,7 @@ ANALYSIS = Analysis(
     ReversalOptions,
     periods,
     run,
-    independent=_independent,
+    independent=lambda options: not options.max_period,
     choose=choose,
     classes=kind_of_lanes,
     check=check,
@@ -311,4 +306,3 @@ ANALYSIS = Analysis(
     price=price,
     brief={"transient": 1, "strobes": 64, "periods": BLOCKS},
 )
-"""The entry of this analysis in the table."""

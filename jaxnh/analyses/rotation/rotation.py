@@ -221,11 +221,6 @@ def classes(data: xr.Dataset) -> Int[np.ndarray, ...]:
     return np.where(denominator > 0, denominator, -kind)
 
 
-def price(options: RotationOptions, batch: LaneBatch) -> Price:
-    """Return the price of keeping every strobe; averages on the host cost nothing beside it."""
-    return Price(recording_program(batch), map_alone(batch), "every strobe is kept")
-
-
 ANALYSIS = Analysis(
     "rotation",
     RotationOptions,
@@ -235,7 +230,6 @@ ANALYSIS = Analysis(
     smooth=("rotation",),
     check=check,
     table=table,
-    price=price,
+    price=lambda _, batch: Price(recording_program(batch), map_alone(batch), "every strobe is kept"),
     brief={"transient": 1, "periods": 128},
 )
-"""The entry of this analysis in the table."""

@@ -31,7 +31,7 @@ from jaxnh.analyses.base import (
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.chaos import RotationOptions, ToriOptions
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
-from jaxnh.analyses.price import Price, newton_price
+from jaxnh.analyses.price import newton_price
 from jaxnh.analyses.rotation import rotation
 from jaxnh.analyses.rotation.averages import birkhoff_average
 from jaxnh.analyses.section_points import points_at, states_after, states_at
@@ -44,7 +44,7 @@ from jaxnh.analyses.tori.invariant_curves import (
 )
 from jaxnh.analyses.trajectories.states import section_attrs, state_variables
 from jaxnh.maps.section import reports
-from jaxnh.systems.state import State
+from jaxnh.systems.state import LaneStates
 
 KINDS = ("attracting", "saddle", "repelling", "neutral", "undecided", "none", "failed")
 """Meanings of the flags 0 to 6 of `kind`."""
@@ -66,7 +66,7 @@ class TurningMotions(NamedTuple):
         rotation: mean advance, in turns, (lanes,).
     """
 
-    states: State
+    states: LaneStates
     u: Float[np.ndarray, "lanes points d"]
     kind: Int[np.ndarray, " lanes"]
     rotation: Float[np.ndarray, " lanes"]
@@ -237,29 +237,15 @@ def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     return Table("Invariant curves", heads, rows, caption, (0,))
 
 
-def price(options: ToriOptions, batch: LaneBatch) -> Price:
-    """Return the price of derivatives of the map at the nodes of curves; Newton's algebra is on the host."""
-    return newton_price(batch, ORBIT_TILE)
-
-
-def _numbers(options: ToriOptions) -> int:
-    return 4 * options.points
-
-
-def _independent(options: ToriOptions) -> bool:
-    return False
-
-
 ANALYSIS = Analysis(
     "tori",
     ToriOptions,
     periods,
     run,
-    independent=_independent,
-    numbers=_numbers,
+    independent=lambda _: False,
+    numbers=lambda options: 4 * options.points,
     check=check,
     table=table,
-    price=price,
+    price=lambda _, batch: newton_price(batch, ORBIT_TILE),
     brief={"transient": 1, "periods": 128},
 )
-"""The entry of this analysis in the table."""

@@ -55,16 +55,6 @@ def periods(options: DiagramOptions, lanes: int) -> float:
     return lanes * each * (options.n_starts if options.start == "random" else 1)
 
 
-def independent(options: DiagramOptions) -> bool:
-    """Return whether lanes are independent: a carried state depends on the values before."""
-    return not options.carried
-
-
-def numbers(options: DiagramOptions) -> int:
-    """Return how many numbers a lane leaves."""
-    return 4 * options.strobes * (options.n_starts if options.start == "random" else 1)
-
-
 def check(options: DiagramOptions, setting: Setting) -> None:
     """Check that a phase has a period, a carried state a parameter, and that there is one kind of start states."""
     check_transient(options.transient, setting)
@@ -255,12 +245,11 @@ ANALYSIS = Analysis(
     DiagramOptions,
     periods,
     run,
-    independent=independent,
-    numbers=numbers,
+    independent=lambda options: not options.carried,
+    numbers=lambda options: 4 * options.strobes * (options.n_starts if options.start == "random" else 1),
     starts=starts,
     count=count,
     check=check,
     price=price,
     brief={"transient": 1},
 )
-"""The entry of this analysis in the table."""

@@ -38,11 +38,6 @@ def periods(options: PoincareOptions, lanes: int) -> float:
     return float(lanes * (options.transient + options.strobes - 1))
 
 
-def numbers(options: PoincareOptions) -> int:
-    """Return how many numbers a lane leaves."""
-    return 4 * options.strobes
-
-
 def check(options: PoincareOptions, setting: Setting) -> None:
     """Check that the first strobe is on the section, and that there are the outputs."""
     check_transient(options.transient, setting)
@@ -114,10 +109,9 @@ ANALYSIS = Analysis(
     PoincareOptions,
     periods,
     run,
-    numbers=numbers,
+    numbers=lambda options: 4 * options.strobes,
     count=count,
     check=check,
     price=price,
     brief={"transient": 1},
 )
-"""The entry of this analysis in the table."""

@@ -33,11 +33,6 @@ def periods(options: PortraitOptions, lanes: int) -> float:
     return float(lanes * (options.transient + options.periods))
 
 
-def numbers(options: PortraitOptions) -> int:
-    """Return how many numbers a lane leaves."""
-    return 4 * options.periods * options.samples
-
-
 def check(options: PortraitOptions, setting: Setting) -> None:
     """Check that there is something between strobes."""
     if not setting.flow.continuous:
@@ -108,10 +103,9 @@ ANALYSIS = Analysis(
     PortraitOptions,
     periods,
     run,
-    numbers=numbers,
+    numbers=lambda options: 4 * options.periods * options.samples,
     count=count,
     check=check,
     price=price,
     brief={"transient": 1},
 )
-"""The entry of this analysis in the table."""

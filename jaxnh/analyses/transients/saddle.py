@@ -21,7 +21,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.section_points import points_at
 from jaxnh.maps.iterate import derivative_and_volume
 from jaxnh.systems.chart import general_directions
-from jaxnh.systems.state import State
+from jaxnh.systems.state import LaneStates, State
 
 MOTIONS = 32
 """Motions of each lane that stay longest."""
@@ -42,7 +42,7 @@ class Saddle(NamedTuple):
         error: their errors at 95 %, from the scatter over motions and between two frames of each, (lanes, k).
     """
 
-    states: State
+    states: LaneStates
     exponents: Float[np.ndarray, "lanes k"]
     error: Float[np.ndarray, "lanes k"]
 

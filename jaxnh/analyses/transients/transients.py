@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, Starts, Table, as_variable, variable
+from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, Table, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.chaos import TransientsOptions
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.random_starts import check_box, random_start_batch
+from jaxnh.analyses.random_starts import check_box, draw_starts, random_start_batch
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.analyses.transients.crisis_scaling import FEWEST_VALUES, fit_crisis
 from jaxnh.analyses.transients.lifetimes import EscapeRate, escape_rate, lifetimes, region_of
@@ -33,11 +32,6 @@ def periods(options: TransientsOptions, lanes: int) -> float:
     return float(lanes * (options.n_starts * min(options.max_periods, _USUAL) + _STAGGERED * options.saddle_points))
 
 
-def numbers(options: TransientsOptions) -> int:
-    """Return how many numbers a lane leaves."""
-    return 4 * options.n_starts + 8 * max(MOTIONS * POINTS, options.saddle_points)
-
-
 def check(options: TransientsOptions, setting: Setting) -> None:
     """Check the box of starts, and that the region is one of coordinates."""
     if not options.box:
@@ -50,11 +44,6 @@ def check(options: TransientsOptions, setting: Setting) -> None:
     if options.crisis and len(np.unique(setting.axes[0].values)) < FEWEST_VALUES:
         message = f"a power law is fitted to {FEWEST_VALUES} values of the first axis or more: sweep over so many"
         raise OptionError(message, "crisis")
-
-
-def independent(options: TransientsOptions) -> bool:
-    """Return whether lanes are independent: a power law is one of all values along the first axis."""
-    return not options.crisis
 
 
 def run(options: TransientsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -166,16 +155,6 @@ def _of_crisis(batch: LaneBatch, rate: EscapeRate) -> dict[str, Entry]:
     }
 
 
-def starts(options: TransientsOptions) -> Starts | None:
-    """Return the function that draws the random starts."""
-
-    def draw(batch: LaneBatch) -> tuple[Any, np.ndarray]:
-        many, _ = random_start_batch(batch, options.n_starts, options.seed, options.box)
-        return many.start, np.repeat(np.arange(batch.count), options.n_starts)
-
-    return draw
-
-
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
     """Return the range over lanes of the escape rate, of the mean lifetime, and of the saddle's numbers."""
     names = "escape_rate", "mean_lifetime", "saddle_exponents", "saddle_dimension", "crisis", "crisis_exponent"
@@ -202,12 +181,11 @@ ANALYSIS = Analysis(
     TransientsOptions,
     periods,
     run,
-    independent=independent,
-    numbers=numbers,
-    starts=starts,
+    independent=lambda options: not options.crisis,
+    numbers=lambda options: 4 * options.n_starts + 8 * max(MOTIONS * POINTS, options.saddle_points),
+    starts=draw_starts,
     check=check,
     table=table,
     price=price,
     brief={"max_periods": 16, "transient": 0},
 )
-"""The entry of this analysis in the table."""

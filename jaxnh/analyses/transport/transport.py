@@ -26,7 +26,6 @@ from jaxnh.analyses.base import (
     Entry,
     OptionError,
     Setting,
-    Starts,
     Table,
     as_variable,
     flag,
@@ -37,7 +36,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.trajectories import TransportOptions
 from jaxnh.analyses.price import Price, map_alone
-from jaxnh.analyses.random_starts import check_box, random_start_batch
+from jaxnh.analyses.random_starts import check_box, draw_starts, random_start_batch
 from jaxnh.analyses.trajectories.poincare import recording_program
 from jaxnh.analyses.trajectories.states import check_outputs, output_variables, settle_lanes
 from jaxnh.analyses.transport.statistics import Diffusion, EstimateWithError, diffusion, growth_exponent
@@ -223,18 +222,6 @@ def numbers(options: TransportOptions) -> int:
     return 3 * len(options.growth or ()) + 2 * len(options.path or ()) + 5
 
 
-def starts(options: TransportOptions) -> Starts | None:
-    """Return the function that draws the random starts, if there are any."""
-    if not options.n_starts:
-        return None
-
-    def draw(batch: LaneBatch) -> tuple[Any, np.ndarray]:
-        many, _ = random_start_batch(batch, options.n_starts, options.seed, options.box)
-        return many.start, np.repeat(np.arange(batch.count), options.n_starts)
-
-    return draw
-
-
 def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     """Return the range over lanes of the exponents, of the drift and of the diffusion coefficient, and their kinds."""
     rows = []
@@ -261,10 +248,9 @@ ANALYSIS = Analysis(
     periods,
     run,
     numbers=numbers,
-    starts=starts,
+    starts=draw_starts,
     check=check,
     table=table,
     price=price,
     brief={"transient": 1, "periods": 256},
 )
-"""The entry of this analysis in the table."""

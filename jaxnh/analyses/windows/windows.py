@@ -47,11 +47,6 @@ _STEPS = StepControl(0.04)  # of the branch of that orbit
 _WORK = 3.0  # of a run, in those of settling: a guess
 
 
-def periods(options: WindowsOptions, lanes: int) -> float:
-    """Return the lane-periods of a run: a guess, as the number of windows is not known."""
-    return _WORK * lanes * (options.transient + 2 * _DOUBLED * options.max_period)
-
-
 def check(options: WindowsOptions, setting: Setting) -> None:
     """Check that there is one axis, a parameter that lanes may differ in, with several values."""
     first, *others = setting.axes
@@ -65,11 +60,6 @@ def check(options: WindowsOptions, setting: Setting) -> None:
         raise OptionError(f"windows are looked for over a range of {first.name}, and the sweep has one value of it")
     if first.name in OWN_NAMES:
         raise OptionError(f"{first.name} is what windows calls a number of its own; rename it")
-
-
-def independent(options: WindowsOptions) -> bool:
-    """Return False: windows come from comparing neighbouring lanes."""
-    return False
 
 
 def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -187,12 +177,12 @@ def _crisis(
 ANALYSIS = Analysis(
     "windows",
     WindowsOptions,
-    periods,
+    # a guess, as the number of windows is not known
+    lambda options, lanes: _WORK * lanes * (options.transient + 2 * _DOUBLED * options.max_period),
     run,
-    independent=independent,
+    independent=lambda _: False,
     check=check,
     table=table,
     price=price_of_orbits,
     brief={"transient": 1, "max_period": 1, "crisis": 64},
 )
-"""The entry of this analysis in the table."""
