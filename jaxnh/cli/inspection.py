@@ -51,17 +51,21 @@ def show(path: Path, file: h5py.File) -> None:
     for name, group in store.groups(file).items():
         table.add_row(f"[bold]{name}")
         for key, item in store.variables(group).items():
-            if item.ndim and not (item.is_scale and (key in axes or _words(item).startswith("index along"))):
+            if item.ndim and not (
+                item.is_scale and (key in axes or str(item.attrs.get("long_name", "")).startswith("index along"))
+            ):
                 extent = _range(item)
-                table.add_row(f"  {key}", _sizes(item), _units(item.attrs), extent.words, extent.note)
+                table.add_row(
+                    f"  {key}",
+                    " × ".join(f"{dim} {size:,}" for dim, size in zip(store.dimensions(item), item.shape, strict=True)),
+                    str(item.attrs.get("counted_in") or item.attrs.get("units", "")),
+                    extent.words,
+                    extent.note,
+                )
         notes += [f"{name}: {note}" for note in _notes(group, axes)]
     console.print(table)
     for note in notes:
         console.print(note, highlight=False, markup=False)
-
-
-def _words(item: h5py.Dataset) -> str:
-    return str(item.attrs.get("long_name", ""))
 
 
 def _coordinates(file: h5py.File, axes: Sequence[str]) -> dict[str, np.ndarray]:
@@ -103,14 +107,6 @@ def _facts(path: Path, attrs: store.Attributes, axes: dict[str, np.ndarray]) -> 
         f"{wall:,.1f} s, of these compiling {compiled:,.1f} s; {work:,.0f} lane-periods, {work / wall:,.0f} a second; "
         f"{attrs.get('device', '')}",
     )
-
-
-def _sizes(item: h5py.Dataset) -> str:
-    return " × ".join(f"{dim} {size:,}" for dim, size in zip(store.dimensions(item), item.shape, strict=True))
-
-
-def _units(attrs: h5py.AttributeManager) -> str:
-    return str(attrs.get("counted_in") or attrs.get("units", ""))
 
 
 class _Range(NamedTuple):

@@ -26,15 +26,7 @@ from jaxnh.engine.compute import batch_of, spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import check_output
-from jaxnh.engine.plan import (
-    calibrate,
-    in_quickest_form,
-    job_of,
-    plan_of,
-    why_common_steps,
-    with_step_classes,
-    work_of,
-)
+from jaxnh.engine.plan import calibrate, in_quickest_form, job_of, plan_of, why_common_steps, with_step_classes, work_of
 from jaxnh.engine.result_attributes import attributes
 from jaxnh.engine.xla_options import configure, devices_of
 from jaxnh.exceptions import ArgumentError, InputError, ResultError

@@ -22,13 +22,12 @@ from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.periodic.location import period_map, refined_maps, walk
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
 from jaxnh.analyses.section_points import points_after
-from jaxnh.costs.stage import StagelessRunner
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, section_map
 from jaxnh.orbits.bifurcations.doubling_points import doubling_point, follow_branch, refine_doubling
 from jaxnh.orbits.newton import Orbit
 from jaxnh.orbits.shooting import Period
-from jaxnh.systems.chart import Chart
 
 DETECTION, MULTISECTION, INTERPOLATION = "period detection", "multisection", "interpolation"
 
@@ -71,10 +70,10 @@ class _Watch:
         return time.perf_counter() - self._wall, time.process_time() - self._cpu
 
 
-def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
+def price(batch: LaneBatch, lanes: LaneExecutor) -> xr.Dataset | None:
     """Every estimate with its error and times; None where the sweep has no doubling."""
     with lanes.stage("cost: the first doubling of the sweep", 0):
-        place = _first_doubling(batch, StagelessRunner(lanes))
+        place = _first_doubling(batch, lanes.without_stages())
     if place is None:
         return None
     with lanes.stage(f"cost: doubling of period {place.n} by three methods", 0):
@@ -117,7 +116,7 @@ def by_detection(
             values = np.linspace(near, far, _CANDIDATES)
             row = batch.at_values(values)
             points = points_after(row, lanes, row.chart.host_points(row.start), transient, 2 * place.n, _TILE)
-            gap = _recurrence(row.chart, points, place.n)
+            gap = np.max(np.abs(row.chart.wrap(points[:, place.n :] - points[:, : place.n]))[..., 0], axis=1)
             first = _first(gap > _THRESHOLD)
             if first is None:
                 break
@@ -202,11 +201,6 @@ def _smallest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.
     """The smallest real eigenvalue; +∞ where all are complex."""
     values = np.linalg.eigvals(monodromy)
     return np.where(np.abs(values.imag) < 1e-12, values.real, np.inf).min(axis=1)
-
-
-def _recurrence(chart: Chart, points: Float[np.ndarray, "lanes points d"], n: int) -> Float[np.ndarray, " lanes"]:
-    """Largest distance between first coordinates n strobes apart, over n strobes."""
-    return np.max(np.abs(chart.wrap(points[:, n:] - points[:, :n]))[..., 0], axis=1)
 
 
 def _first(beyond: Bool[np.ndarray, " lanes"]) -> int | None:

@@ -17,12 +17,11 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses.base import LANE, Analysis, Entry, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.costs.operations import count
-from jaxnh.costs.stage import StagelessRunner
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SPLITTINGS, IsokineticSplitting, Solver, dopri8
@@ -58,7 +57,7 @@ class EffectRow(NamedTuple):
 
 def price(batch: LaneBatch, requested: Requested, lanes: LaneExecutor, repeats: int) -> xr.Dataset:
     """A row for every effect of the paper's particle, then one for every number of tangents and every analysis."""
-    batch = batch.take(np.linspace(0, batch.count - 1, _bench(lanes)).round().astype(int))
+    batch = batch.take(np.linspace(0, batch.count - 1, lanes.tile * len(lanes.devices)).round().astype(int))
     with lanes.stage("cost: programs of all effects", 0):
         most = _most_tangents(batch.flow, requested)
         rows = [*_effects(batch.flow, batch), *_tangents(batch, most), *_analyses(batch, requested, lanes)]
@@ -81,11 +80,6 @@ def price(batch: LaneBatch, requested: Requested, lanes: LaneExecutor, repeats: 
     }
     solver, steps = _solver(batch)
     return xr.Dataset(variables, attrs={"solver": solver.name, "steps_per_period": steps, "repeats": repeats})
-
-
-def _bench(lanes: LaneExecutor) -> int:
-    """Lanes that fill every device once."""
-    return lanes.tile * len(lanes.devices)
 
 
 def _solver(batch: LaneBatch) -> tuple[Solver, int]:
@@ -188,7 +182,7 @@ def _tangents(batch: LaneBatch, most: int) -> Iterator[EffectRow]:
         yield EffectRow(f"tangent {k}", "tangents", programs[k], programs[k - 1])
 
 
-def _analyses(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> Iterator[EffectRow]:
+def _analyses(batch: LaneBatch, requested: Requested, lanes: LaneExecutor) -> Iterator[EffectRow]:
     """A row an analysis: its own program, a period, against the map alone, and what it stores."""
     stored = _stored(batch, requested, lanes)
     not_measured = Price(None, map_alone(batch), "not measured")
@@ -197,7 +191,7 @@ def _analyses(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> Iter
         yield EffectRow(analysis.name, "analysis", cost.with_it, cost.without_it, stored[analysis.name], cost.note)
 
 
-def _stored(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> dict[str, float]:
+def _stored(batch: LaneBatch, requested: Requested, lanes: LaneExecutor) -> dict[str, float]:
     """Bytes a lane of each analysis, by running it on two lanes for as short as it can be."""
     two = replace(batch.take(slice(2)), chosen={lyapunov.ANALYSIS.name: {"parts": 1}})
     done: dict[str, xr.Dataset] = {}
@@ -208,7 +202,7 @@ def _stored(batch: LaneBatch, requested: Requested, lanes: LaneRunner) -> dict[s
             continue
         needs = analysis.options.needs
         needed: tuple[Mapping[str, xr.Dataset], ...] = ({name: done[name] for name in needs},) if needs else ()
-        data = analysis.run(options.model_copy(update=dict(analysis.brief)), two, StagelessRunner(lanes), *needed)
+        data = analysis.run(options.model_copy(update=dict(analysis.brief)), two, lanes.without_stages(), *needed)
         done[analysis.name] = data
         sizes[analysis.name] = sum(v.nbytes for v in data.variables.values() if v.dims[:1] == (LANE,)) / 2
     return sizes

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.base import variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.costs.stage import StagelessRunner
+from jaxnh.engine.executor.lanes import LaneExecutor
 
 _SEARCHED = 256  # lanes of the sweep among which the most chaotic is looked for
 _SEARCH_PERIODS = 256
@@ -37,16 +37,16 @@ class _Average(NamedTuple):
     cpu_seconds: float
 
 
-def price(batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset | None:
+def price(batch: LaneBatch, lanes: LaneExecutor) -> xr.Dataset | None:
     """Error and error bar at every averaging time; None where no lane of the sweep is chaotic beyond its error bar."""
     with lanes.stage(f"cost: largest exponents of {_SEARCHED} lanes", _SEARCHED * (_TRANSIENT + _SEARCH_PERIODS)):
-        value = _most_chaotic(batch, StagelessRunner(lanes))
+        value = _most_chaotic(batch, lanes.without_stages())
     if value is None:
         return None
     averaged = np.array([*_AVERAGED, 10 * _AVERAGED[-1]])
     label = f"cost: largest exponent at {batch.first_axis.name} = {value:.6g}"
     with lanes.stage(label, _LANES * float(np.sum(_TRANSIENT + averaged))):
-        return _measure(batch, StagelessRunner(lanes), value, averaged)
+        return _measure(batch, lanes.without_stages(), value, averaged)
 
 
 def _measure(batch: LaneBatch, lanes: LaneRunner, value: float, averaged: Int[np.ndarray, " times"]) -> xr.Dataset:

@@ -193,11 +193,12 @@ def _coordinates(
 ) -> dict[Any, Entry]:
     """The values, each cut, of the axes that any variable has."""
     return {
-        axis.dim: variable(axis.dim, axis.values[cut], _words(axis), axis.units)
+        axis.dim: variable(
+            axis.dim,
+            axis.values[cut],
+            f"start value of {axis.long_name}" if axis.kind == "start" else axis.long_name,
+            axis.units,
+        )
         for axis, cut in zip(axes, cuts, strict=False)
         if any(axis.dim in dims for dims, _, _ in content.values())
     }
-
-
-def _words(axis: Axis) -> str:
-    return f"start value of {axis.long_name}" if axis.kind == "start" else axis.long_name

@@ -11,7 +11,6 @@ import numpy as np
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError
 from jaxnh.systems.definition import DefinedFlow
-from jaxnh.systems.flow import Parameters
 from jaxnh.systems.free_particle import FreeParticle
 from jaxnh.systems.function_source import source_text
 from jaxnh.systems.particle import IsokineticParticle
@@ -87,7 +86,7 @@ def _one_lane(file: UserFile, content: dict[str, Any]) -> tuple[str, float]:
 
 def _particle(flow: IsokineticParticle | FreeParticle) -> dict[str, Any]:
     """The block `system` of a config whose flow this is."""
-    p = _plain_numbers(flow.parameters)
+    p = {name: float(np.asarray(value)) for name, value in flow.parameters.items()}
     names, constraint = ["a", "b", "omega"], "free"
     if isinstance(flow, IsokineticParticle):
         disturbed = "disturbance" not in flow.without
@@ -96,8 +95,3 @@ def _particle(flow: IsokineticParticle | FreeParticle) -> dict[str, Any]:
     without = sorted(flow.without - {"disturbance"})
     block: dict[str, Any] = {name: p[name] for name in names if name in p}
     return {"constraint": constraint, **block, **({"without": without} if without else {})}
-
-
-def _plain_numbers(values: Parameters) -> dict[str, float]:
-    """Parameters as plain numbers."""
-    return {name: float(np.asarray(value)) for name, value in values.items()}

@@ -252,7 +252,7 @@ def job_of(
     count = int(np.prod([len(axis.values) for axis in axes]))
     split = [(analysis, options) for analysis, options in requested if analysis.independent(options)]
     if tile is None:
-        tile = tile_lanes(work_of(split, count), numbers_of(split), count)
+        tile = tile_lanes(work_of(split, count), sum(analysis.numbers(options) for analysis, options in split), count)
         parts *= _TILES_A_PART if parts > 1 else 1
     cutting = Cutting(
         order=tuple(analysis.name for analysis, _ in requested),
@@ -264,11 +264,7 @@ def job_of(
         levels=experiment.levels.count if experiment.levels else 1,
         refine=experiment.levels.refine if experiment.levels else "",
     )
-    return Job(
-        numerical_plan(plan, chosen),
-        cutting,
-        Provenance(experiment.sha256, versions(), machine),
-    )
+    return Job(numerical_plan(plan, chosen), cutting, Provenance(experiment.sha256, versions(), machine))
 
 
 def decide(
@@ -360,11 +356,6 @@ def work_of_pieces(
     return {
         piece.number: 0.0 if cutting.is_whole(piece) else each[piece.names] * lanes_of(piece, level) for piece in pieces
     }
-
-
-def numbers_of(analyses: Requested) -> int:
-    """About how many numbers a lane leaves."""
-    return sum(analysis.numbers(options) for analysis, options in analyses)
 
 
 def count_warnings(name: str, counts: Mapping[str, int]) -> tuple[str, ...]:

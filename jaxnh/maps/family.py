@@ -145,7 +145,9 @@ class TreeStack(eqx.Module):
 
     def at(self, group: ArrayLike) -> Any:
         """The pytree of a group, which may be traced."""
-        return jax.tree.map(lambda leaf: leaf[group] if _is_stacked(leaf) else leaf, self.trees)
+        return jax.tree.map(
+            lambda leaf: leaf[group] if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else leaf, self.trees
+        )
 
 
 def stack(trees: Sequence[Any]) -> TreeStack:
@@ -166,7 +168,3 @@ def stack(trees: Sequence[Any]) -> TreeStack:
         return arrays[0]
 
     return TreeStack(jax.tree.map(one, *trees))
-
-
-def _is_stacked(leaf: Any) -> bool:
-    return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)

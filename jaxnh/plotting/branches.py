@@ -23,11 +23,7 @@ _PERIODS = 8  # that the legend names, the shortest first
 
 
 def branches(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    marks: Iterable[xr.Dataset] = (),
-    under: Iterable[xr.Dataset] = (),
+    data: xr.Dataset, ax: Axes | None = None, *, marks: Iterable[xr.Dataset] = (), under: Iterable[xr.Dataset] = ()
 ) -> Axes:
     """A coordinate of all points of orbits over the parameter, a colour a period.
 

@@ -137,18 +137,12 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("angle_min", "tangency"),
         lambda _: _Description("curves", ("angle_min",), ("split",), "smallest angle", "0"),
     ),
-    "transients": (
-        ("escape_rate",),
-        lambda _: _Description("curves", ("escape_rate",), (), "escape rate", "0"),
-    ),
+    "transients": (("escape_rate",), lambda _: _Description("curves", ("escape_rate",), (), "escape rate", "0")),
     "reversal": (
         ("repeller_exponents",),
         lambda _: _Description("curves", ("distance", "overlap"), (), "distance and overlap", "0 1"),
     ),
-    "tori": (
-        ("growth", "harmonics"),
-        lambda data: _plane(data, "trajectories", "theta"),
-    ),
+    "tori": (("growth", "harmonics"), lambda data: _plane(data, "trajectories", "theta")),
     "transport": (("diffusion_kind",), _transport),
     "rotation": (
         ("rotation", "denominator"),

@@ -68,7 +68,7 @@ def merge(
         for name in cutting.groups:
             sources = [(piece, piece_path(folder, piece)) for piece in cutting.sources(name)]
             source_files = _SourceFiles(path, tuple(piece for piece, _ in sources)) if virtual else None
-            axes = _growing_axes(cutting, len(sources))
+            axes = dict(zip(cutting.names, cutting.shape, strict=True)) if len(sources) > 1 else {}
             merged = _MergedGroup(file.create_group(name, track_order=True), axes, source_files)
             for piece, source in sources:
                 heed()
@@ -91,11 +91,6 @@ def gather(folder: Path, cutting: Cutting, name: str) -> xr.Dataset:
     """
     tiles = cutting.tiles_of(name)
     return assemble(((piece, store.read_group(piece_path(folder, piece), name)) for piece in tiles), cutting)
-
-
-def _growing_axes(cutting: Cutting, sources: int) -> Mapping[str, int]:
-    """Axes along which variables of several pieces grow, with their sizes; of a single piece none."""
-    return dict(zip(cutting.names, cutting.shape, strict=True)) if sources > 1 else {}
 
 
 # ---- ways into a file

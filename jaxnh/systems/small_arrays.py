@@ -113,7 +113,10 @@ class _Evaluation:
             return [self._product(equation, *operands)]
         if name == "unstack":
             return list(np.moveaxis(operands[0], parameters["axis"], 0))
-        if name in _REARRANGED and (name in _JOINING or all(map(_is_constant, operands[1:]))):
+        if name in _REARRANGED and (
+            name in _JOINING
+            or not any(isinstance(value, Tracer) for operand in operands[1:] for value in operand.ravel())
+        ):
             return [_REARRANGED[name](operands, parameters, shape)]
         raise _UnknownEquationError
 
@@ -203,10 +206,6 @@ def _counted(_: list[Numbers], parameters: Mapping[str, Any], shape: tuple[int, 
     return _numbers(np.broadcast_to(numbers, shape))
 
 
-def _reversed(operands: list[Numbers], parameters: Mapping[str, Any], _: tuple[int, ...]) -> Numbers:
-    return np.flip(operands[0], parameters["dimensions"])
-
-
 _REARRANGED: Mapping[str, Callable[[list[Numbers], Mapping[str, Any], tuple[int, ...]], Numbers]] = {
     "broadcast_in_dim": _broadcast,
     "concatenate": lambda operands, parameters, _: np.concatenate(operands, parameters["dimension"]),
@@ -214,7 +213,7 @@ _REARRANGED: Mapping[str, Callable[[list[Numbers], Mapping[str, Any], tuple[int,
     "expand_dims": lambda operands, _, shape: operands[0].reshape(shape),
     "iota": _counted,
     "reshape": lambda operands, _, shape: operands[0].reshape(shape),
-    "rev": _reversed,
+    "rev": lambda operands, parameters, _: np.flip(operands[0], parameters["dimensions"]),
     "slice": _sliced,
     "squeeze": lambda operands, _, shape: operands[0].reshape(shape),
     "stack": lambda operands, parameters, _: np.stack(operands, parameters["axis"]),
@@ -234,10 +233,6 @@ def _numbers(value: Any) -> Numbers:
     for index in np.ndindex(result.shape):
         result[index] = values[index] if result.shape else (value if traced else values[()])
     return result
-
-
-def _is_constant(operand: Numbers) -> bool:
-    return not any(isinstance(value, Tracer) for value in operand.ravel())
 
 
 def _is_zero(value: Any) -> bool:

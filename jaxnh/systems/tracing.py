@@ -63,7 +63,9 @@ class Program:
             arguments: pytrees of numbers or arrays; their shapes are read, and all are taken in double precision.
             written_out: the program in place of an equation, whose own equations are listed, or None.
         """
-        closed, out = jax.make_jaxpr(function, return_shape=True)(*(_abstract(a) for a in arguments))
+        closed, out = jax.make_jaxpr(function, return_shape=True)(
+            *(jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf), jnp.float64), a) for a in arguments)
+        )
         self._program, self._constants = closed.jaxpr, closed.consts
         self._written_out = written_out
         self.steps: list[Step] = []
@@ -281,8 +283,3 @@ def _alone(equation: Any, program: Any) -> Callable[..., Sequence[Any]]:
         effects=equation.effects,
     )
     return core.jaxpr_as_fun(core.ClosedJaxpr(one, ()))
-
-
-def _abstract(tree: Any) -> Any:
-    """The tree with shapes in place of numbers, all of them in double precision."""
-    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf), jnp.float64), tree)

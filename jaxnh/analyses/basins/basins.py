@@ -141,10 +141,7 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
     basins = basins_group(records, number, unit, flow, drawn, (count // each, *starts), judged)
     if options.boundary:
         basins = basins.merge(boundary_variables(number, sweep.axes))
-    return {
-        "basins": basins,
-        "attractors": attractors_group(table, axes, hits, unit, rate_attrs(flow)),
-    }
+    return {"basins": basins, "attractors": attractors_group(table, axes, hits, unit, rate_attrs(flow))}
 
 
 def _with_settled_steps(batch: LaneBatch) -> LaneBatch:

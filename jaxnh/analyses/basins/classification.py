@@ -279,11 +279,7 @@ def _leave_sets(
 
 
 def _keep_volume(
-    batch: LaneBatch,
-    lanes: LaneRunner,
-    u: Float[np.ndarray, "lanes d"],
-    kind: Int8[np.ndarray, " lanes"],
-    longest: int,
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], kind: Int8[np.ndarray, " lanes"], longest: int
 ) -> Bool[np.ndarray, " lanes"]:
     """Return whether quasiperiodic or chaotic motions keep phase volume: these are no attractors."""
     kept, recurrent = np.zeros(batch.count, np.bool_), np.flatnonzero(np.isin(kind, (QUASIPERIODIC, CHAOTIC)))

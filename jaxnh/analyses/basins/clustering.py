@@ -16,15 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.basins.classification import (
-    CHAOTIC,
-    EQUILIBRIUM,
-    NONE,
-    PERIODIC,
-    POINTS,
-    Attractors,
-    classify,
-)
+from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, NONE, PERIODIC, POINTS, Attractors, classify
 from jaxnh.analyses.basins.paths import follow_paths, pad_points, stays_near
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
 from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, LaneRecords, resume

@@ -128,10 +128,7 @@ def _dataset(system: System, axis: Axis, levels: int, cascade: Cascade) -> xr.Da
         "limit_error": variable((), limit.error + value_error[max(count - 1, 0)], f"error of {name} there"),
         "levels_found": variable((), count, "number of doublings found"),
     }
-    attrs = {
-        "along": name,
-        **({"warnings": warnings} if (warnings := _warnings(axis, levels, cascade)) else {}),
-    }
+    attrs = {"along": name, **({"warnings": warnings} if (warnings := _warnings(axis, levels, cascade)) else {})}
     return xr.Dataset(variables, attrs=attrs)
 
 
@@ -240,7 +237,7 @@ def _levels(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) 
             difference = theirs[name][k] - ours[name][k]
             row[1:1] = [f"{theirs[name][k]:.6f}"]
             row[4:4] = [f"{difference:+.1e}", f"{theirs['delta'][k]:.4f}"]
-        rows.append(tuple(_cell(cell) for cell in row))
+        rows.append(tuple("–" if cell in ("nan", "+nan") else cell for cell in row))
     words = filter(None, (_limit_words(data), sensitivity_words(data, name, "level")))
     return Table("Period doublings", heads, tuple(rows), "; ".join(words) or None)
 
@@ -273,10 +270,6 @@ def _known(value: float, error: float) -> str:
     """A number with as many digits as its error has a say in."""
     digits = max(_DIGITS, math.ceil(-math.log10(error))) if error > 0.0 else _DIGITS
     return f"{value:.{digits}f} ± {error:.1g}"
-
-
-def _cell(text: str) -> str:
-    return "–" if text in ("nan", "+nan") else text
 
 
 ANALYSIS = Analysis(

@@ -108,10 +108,7 @@ def widths_limit(widths: Float[np.ndarray, " levels"], errors: Float[np.ndarray,
 
 
 def _limit(
-    sequence: Float[np.ndarray, " levels"],
-    errors: Float[np.ndarray, " levels"],
-    last: float,
-    kind: _Kind,
+    sequence: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"], last: float, kind: _Kind
 ) -> Limit:
     """The interval of the ratio about that of the last levels, and the limit, over all models of the corrections."""
     middle = np.log(max(last, _LEAST_RATIO))

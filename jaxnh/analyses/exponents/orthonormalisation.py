@@ -7,13 +7,7 @@ import math
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.exponents.tangent_growth import (
-    TangentState,
-    average,
-    begin,
-    cut_period,
-    split_stack,
-)
+from jaxnh.analyses.exponents.tangent_growth import TangentState, average, begin, cut_period, split_stack
 
 _LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
 _LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding

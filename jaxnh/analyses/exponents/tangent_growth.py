@@ -190,12 +190,7 @@ def _one_part(strobes: Maps) -> tuple[Maps, int]:
 
 
 def advance_turns(
-    lanes: LaneRunner,
-    strobes: Maps,
-    growth: TangentState,
-    p: Parameters,
-    counts: Int[np.ndarray, " lanes"],
-    tile: int,
+    lanes: LaneRunner, strobes: Maps, growth: TangentState, p: Parameters, counts: Int[np.ndarray, " lanes"], tile: int
 ) -> tuple[TangentState, Float[np.ndarray, "lanes k"]]:
     """Advance each lane by its own number of periods, and return the growth a period of each tangent."""
     growth = lanes(_advance_each, (strobes,), (growth, p, counts.astype(np.int32)), tile=tile)

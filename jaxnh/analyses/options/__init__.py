@@ -23,12 +23,7 @@ from jaxnh.analyses.options.orbits import (
     PeriodOptions,
     WindowsOptions,
 )
-from jaxnh.analyses.options.trajectories import (
-    DiagramOptions,
-    PoincareOptions,
-    PortraitOptions,
-    TransportOptions,
-)
+from jaxnh.analyses.options.trajectories import DiagramOptions, PoincareOptions, PortraitOptions, TransportOptions
 
 OPTIONS: dict[str, type[Options]] = {
     options.__name__.removesuffix("Options").lower(): options

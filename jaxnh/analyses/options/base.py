@@ -16,23 +16,18 @@ BLOCKS = 16
 Side = Annotated[tuple[float, float], Field(strict=False)]
 """The lowest and the highest value of a coordinate."""
 
-
-def _none_for_no(asked: bool | None) -> bool | None:
-    """Return None for no, as where nothing is said: what decides no number is in no hash."""
-    return asked or None
-
-
-Extra = Annotated[bool | None, AfterValidator(_none_for_no)]
-"""Whether numbers are given beside those that there are always."""
+Box = Annotated[
+    dict[str, Side], Field(description="Coordinates of random starts, each with its lowest and highest value")
+]
+"""Sides of the box that random starts are drawn from, by coordinate."""
 
 
-def _none_for_yes(asked: bool | None) -> bool | None:
-    """Return None for yes, likewise."""
-    return None if asked else asked
+Extra = Annotated[bool | None, AfterValidator(lambda asked: asked or None)]
+"""Whether numbers are given beside those that there are always; None for no: what decides no number is in no hash."""
 
 
-Omission = Annotated[bool | None, AfterValidator(_none_for_yes)]
-"""Whether numbers are given that there are where nothing is said."""
+Omission = Annotated[bool | None, AfterValidator(lambda asked: None if asked else asked)]
+"""Whether numbers are given that there are where nothing is said; None for yes, likewise."""
 
 
 class Block(BaseModel):

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import BLOCKS, Options, Side, check_random_starts, check_sides, rule
+from jaxnh.analyses.options.base import BLOCKS, Box, Options, check_random_starts, check_sides, rule
 
 
 class BasinsOptions(Options):
@@ -27,9 +27,7 @@ class BasinsOptions(Options):
     max_period: int = Field(default=64, ge=1, le=1024, description="Largest period looked for")
     n_starts: int = Field(default=0, ge=0, description="Random start states at each value of parameters; needs a box")
     seed: int = Field(default=0, ge=0, description="Seed of the random start states")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
 
     boundary: bool = Field(
         default=False,
@@ -52,9 +50,7 @@ class EdgesOptions(Options):
 
     n_starts: int = Field(default=64, ge=4, description="Random starts of each lane, of which pairs are drawn")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts and of directions")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
     transient: int = Field(
         default=64,
         ge=2 * BLOCKS,

@@ -6,7 +6,19 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import BLOCKS, Extra, Options, Side, check_sides, rule
+from jaxnh.analyses.options.base import BLOCKS, Box, Extra, Options, Side, check_sides, rule
+
+Plane = Annotated[
+    tuple[str, str] | None,
+    Field(
+        strict=False,
+        description="Coordinates of the plane in which the angle is taken; by default an angle of the system",
+    ),
+]
+Centre = Annotated[
+    Side | None,
+    Field(description="Values of the two coordinates about which the angle is taken; by default their means"),
+]
 
 
 class LyapunovOptions(Options):
@@ -50,13 +62,8 @@ class RotationOptions(Options):
     transient: int = Field(default=256, ge=1, description="Periods, or crossings, before the average begins")
     periods: int = Field(default=2048, ge=128, description="Periods averaged over")
     max_denominator: int = Field(default=64, ge=1, le=1024, description="Largest denominator that is looked for")
-    plane: Annotated[tuple[str, str], Field(strict=False)] | None = Field(
-        default=None,
-        description="Coordinates of the plane in which the angle is taken; by default an angle of the system",
-    )
-    centre: Side | None = Field(
-        default=None, description="Values of the two coordinates about which the angle is taken; by default their means"
-    )
+    plane: Plane = None
+    centre: Centre = None
 
 
 class ToriOptions(Options):
@@ -69,13 +76,8 @@ class ToriOptions(Options):
     max_denominator: int = Field(
         default=64, ge=1, le=1024, description="Largest denominator of fractions that a motion may be locked to"
     )
-    plane: Annotated[tuple[str, str], Field(strict=False)] | None = Field(
-        default=None,
-        description="Coordinates of the plane in which the angle is taken; by default an angle of the system",
-    )
-    centre: Side | None = Field(
-        default=None, description="Values of the two coordinates about which the angle is taken; by default their means"
-    )
+    plane: Plane = None
+    centre: Centre = None
 
 
 class ReversalOptions(Options):
@@ -98,9 +100,7 @@ class TransientsOptions(Options):
     """Options of `transients`."""
 
     n_starts: int = Field(default=4096, ge=16, description="Random start states at each value of parameters")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random start states, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
     region: dict[str, Side] = Field(
         default_factory=dict,
         description="Coordinates that motions leave, each with its lowest and highest value; by default the box",

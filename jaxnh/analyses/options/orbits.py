@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import Extra, Omission, Options, Side, check_random_starts, check_sides, rule
+from jaxnh.analyses.options.base import Box, Extra, Omission, Options, check_random_starts, check_sides, rule
 
 
 class SensitivityOptions(Options):
@@ -85,9 +85,7 @@ class BranchesOptions(Continuation, SensitivityOptions):
     )
     n_values: int = Field(default=5, ge=1, description="Number of values searched, evenly over the lanes of the sweep")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> BranchesOptions:
@@ -121,9 +119,7 @@ class CurvesOptions(Continuation):
         "followed as well; needs a box",
     )
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
     max_steps: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
     bifurcations: Omission = Field(default=None, description="Whether bifurcations of periodic orbits are followed")
     duration: float | None = Field(
@@ -182,9 +178,7 @@ class AtlasOptions(Continuation):
         default=0, ge=0, description="The same for equilibria of a flow without a clock, which are followed as well"
     )
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
     levels: int = Field(default=4, ge=0, le=8, description="Doublings of a window to locate")
     crisis: int = Field(default=0, ge=0, description="Periods of a path that looks for the crisis of a window; 0: none")
     max_steps: int = Field(default=500, ge=2, description="Points of a curve to either side of its first, at most")
@@ -208,9 +202,7 @@ class HomoclinicOptions(Continuation):
 
     n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles at each value searched")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
     n_values: int = Field(
         default=3, ge=1, description="Number of values of the second axis at which orbits are looked for"
     )
@@ -263,9 +255,7 @@ class OrbitsOptions(Options):
     )
     n_starts: int = Field(default=0, ge=0, description="Random starts of Newton in each round; needs a box")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
     attractor: int | None = Field(
         default=None,
         ge=256,
@@ -290,9 +280,7 @@ class ManifoldsOptions(Options):
     period: int = Field(default=1, ge=1, le=64, description="Returns of the saddle orbits")
     n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles in each lane")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
     saddles: int = Field(
         default=1,
         ge=1,

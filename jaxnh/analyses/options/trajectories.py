@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import Options, Side, check_random_starts, rule
+from jaxnh.analyses.options.base import Box, Options, check_random_starts, rule
 
 LEAST_FOR_DIMENSION = 256
 """Points that a region of scaling may be seen in."""
@@ -114,9 +114,7 @@ class TransportOptions(Options):
     )
     n_starts: int = Field(default=0, ge=0, description="Random starts of each lane; 0: the start state alone")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
-    box: dict[str, Side] = Field(
-        default_factory=dict, description="Coordinates of random starts, each with its lowest and highest value"
-    )
+    box: Box = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> TransportOptions:

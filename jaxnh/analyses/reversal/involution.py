@@ -32,11 +32,7 @@ NONE, _DECLARED, _FIRST = 0, 1, 2  # numbers of reversals: none, the system's ow
 _ON_SECTION = 16  # random points of a section of which the images are to be on it
 
 
-def _accept(reversal: Reversal) -> bool:
-    return True
-
-
-def choose_reversal(batch: LaneBatch, suits: Callable[[Reversal], bool] = _accept) -> int:
+def choose_reversal(batch: LaneBatch, suits: Callable[[Reversal], bool] = lambda reversal: True) -> int:
     """Return the number of a reversal that holds in a lane of a batch and keeps its section; `NONE` where none does.
 
     It is the system's own where it says one, else, or where the section wants another one as well, the change of the

@@ -54,12 +54,7 @@ def of_attractor(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, 
 
 
 def of_repeller(
-    options: LyapunovOptions,
-    batch: LaneBatch,
-    lanes: LaneRunner,
-    parts: int,
-    states: State,
-    instant: float,
+    options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, parts: int, states: State, instant: float
 ) -> Rates:
     """Return all exponents of the flow backwards in time from states at an instant of the clock, and their sum."""
 

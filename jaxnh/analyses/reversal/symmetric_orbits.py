@@ -162,8 +162,7 @@ def choose_symmetry(batch: LaneBatch) -> Symmetry:
         number = choose_reversal(batch, lambda reversal, missing=missing: _missing_unknowns(batch, reversal) == missing)
         if number != NONE and missing and (batch.axis is None or batch.axis.kind != "lane"):
             raise OptionError(
-                "symmetric orbits of this reversal exist at isolated values of a parameter; sweep one",
-                "max_period",
+                "symmetric orbits of this reversal exist at isolated values of a parameter; sweep one", "max_period"
             )
         if number != NONE:
             return Symmetry(reversal_of(batch, number), batch.first_axis.name if missing else None)

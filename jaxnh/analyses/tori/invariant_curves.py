@@ -140,11 +140,7 @@ def curve_through(
 
 
 def solve_curves(
-    images: Images,
-    curves: dict[int, InvariantCurve],
-    most: int,
-    error: Float[np.ndarray, " d"] | float,
-    wrap: Wrap,
+    images: Images, curves: dict[int, InvariantCurve], most: int, error: Float[np.ndarray, " d"] | float, wrap: Wrap
 ) -> dict[int, tuple[InvariantCurve, CurveQuality]]:
     """Newton on the curves of many lanes at once, each with as many harmonics as it needs; lanes wait for no others.
 
@@ -258,10 +254,7 @@ def _dirichlet(x: Float[np.ndarray, ...], count: int) -> Float[np.ndarray, ...]:
 
 
 def _between_nodes(
-    images: Images,
-    rested: dict[int, tuple[InvariantCurve, bool]],
-    error: Float[np.ndarray, " d"] | float,
-    wrap: Wrap,
+    images: Images, rested: dict[int, tuple[InvariantCurve, bool]], error: Float[np.ndarray, " d"] | float, wrap: Wrap
 ) -> dict[int, tuple[InvariantCurve, CurveQuality]]:
     """Return the curves with their quality, from the residual half-way between the nodes."""
     curves = {lane: curve for lane, (curve, at_rest) in rested.items() if at_rest}

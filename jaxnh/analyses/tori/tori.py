@@ -135,7 +135,7 @@ def _solutions(options: ToriOptions, batch: LaneBatch, lanes: LaneRunner, motion
     tried = set[int]()
     while batch.axis is not None:
         begun = {
-            lane: _continued(lane, solved)
+            lane: min((solved[i][0] for i in (lane - 1, lane + 1) if i in solved), key=lambda curve: curve.harmonics)
             for lane in range(batch.count)
             if lane not in solved and lane not in tried and (lane - 1 in solved or lane + 1 in solved)
         }
@@ -144,11 +144,6 @@ def _solutions(options: ToriOptions, batch: LaneBatch, lanes: LaneRunner, motion
         tried.update(begun)
         solve(begun)
     return solved
-
-
-def _continued(lane: int, solved: Solutions) -> InvariantCurve:
-    """Return the curve of a neighbour, that which needs fewer harmonics."""
-    return min((solved[i][0] for i in (lane - 1, lane + 1) if i in solved), key=lambda curve: curve.harmonics)
 
 
 # ---- results

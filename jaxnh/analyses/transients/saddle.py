@@ -47,11 +47,6 @@ class Saddle(NamedTuple):
     error: Float[np.ndarray, "lanes k"]
 
 
-def exponents_of(batch: LaneBatch) -> int:
-    """Return the number of exponents of a saddle: those along constraints, on a section without that along the flow."""
-    return batch.flow.exponents - int(batch.flow is not batch.system)
-
-
 def longest(periods: Int[np.ndarray, "lanes starts"], count: int) -> Int[np.ndarray, "lanes count"]:
     """Return the numbers among all starts of so many of each lane that stay longest."""
     starts = periods.shape[1]
@@ -121,7 +116,7 @@ def _growth(
     """
     points = points_at(batch, lanes, states)
     motions, _, d = points.shape
-    count, k = int((first + width).max()), exponents_of(batch)
+    count, k = int((first + width).max()), batch.flow.exponents - int(batch.flow is not batch.system)
     needed = np.arange(count) < (first + width)[:, None]
     matrices, volumes = np.tile(np.eye(d), (motions, count, 1, 1)), np.ones((motions, count))
     if needed.any():  # else all have left at once

@@ -99,12 +99,7 @@ def _join(rounds: list[tuple[np.ndarray, PhaseStays]]) -> PhaseStays:
     return PhaseStays(*(np.concatenate(column) for column in zip(*(stays for _, stays in rounds), strict=True)))
 
 
-def _posterior(
-    first: float,
-    spacing: float,
-    at: Float[np.ndarray, " paths"],
-    stays: PhaseStays,
-) -> tuple[float, float]:
+def _posterior(first: float, spacing: float, at: Float[np.ndarray, " paths"], stays: PhaseStays) -> tuple[float, float]:
     """Return mean and error of the value where phases begin to be lost, from how long each path has kept it.
 
     The rate of losses is λ xᵞ at x beyond the crisis. Its logarithm is as likely to be anything: λ integrates to

@@ -89,11 +89,7 @@ def dataset(
     warnings = _missing_doublings(axis.name, levels, groups, doublings)
     if not groups:
         warnings = [f"windows: {_describe_search(limit, axis.name, line.value)}: none was found"]
-    attrs = {
-        "along": axis.name,
-        "largest_period": limit,
-        **({"warnings": "\n".join(warnings)} if warnings else {}),
-    }
+    attrs = {"along": axis.name, "largest_period": limit, **({"warnings": "\n".join(warnings)} if warnings else {})}
     return xr.Dataset(variables, attrs=attrs)
 
 

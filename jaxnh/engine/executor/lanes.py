@@ -74,7 +74,7 @@ class LaneExecutor:
         self._progress = progress or NullProgress()
         self._on_devices = DeviceTiles(self.devices, self.programs, self.accounts)
         self._tiles: Tiles = self._on_devices
-        self._spread = True
+        self._spread, self._in_stage = True, False
 
     @property
     def on_card(self) -> bool:
@@ -117,6 +117,12 @@ class LaneExecutor:
         wrapped._tiles = wrap(self._tiles)
         return wrapped
 
+    def without_stages(self) -> LaneExecutor:
+        """This executor inside a stage that is shown already: it begins no others; accounts are shared."""
+        silent = copy.copy(self)
+        silent._in_stage = True
+        return silent
+
     @property
     def machine(self) -> dict[str, str]:
         """The kind of processor and XLA's options (`xla_options.machine`)."""
@@ -125,6 +131,9 @@ class LaneExecutor:
     @contextmanager
     def stage(self, label: str, total: float) -> Iterator[None]:
         """Show the calls inside as one stage of `total` lane-periods."""
+        if self._in_stage:
+            yield
+            return
         self._progress.start(label, total)
         try:
             yield

@@ -53,18 +53,10 @@ _KNOWN: dict[str, Callable[..., Any]] = {
 }
 
 
-def _negated(kind: str, x: str) -> str:
-    return f"!{x}" if kind == "bool" else f"~{x}"
-
-
 def _logical(name: str) -> Callable[[str, str, str], str]:
     wide = {"and": "&", "or": "|", "xor": "^"}[name]
     narrow = {"and": "&&", "or": "||", "xor": "!="}[name]
     return lambda kind, x, y: f"{x} {narrow if kind == 'bool' else wide} {y}"
-
-
-def _absolute(kind: str, x: str) -> str:
-    return f"fabs({x})" if kind in ("double", "float") else f"({x} < 0 ? -{x} : {x})"
 
 
 def _select(_: str, which: str, *cases: str) -> str:
@@ -105,8 +97,8 @@ def _expression(equation: Any) -> Callable[..., str]:
         return lambda kind, x: f"bits_as<{target}>({x})"
     special: dict[str, Callable[..., str]] = {
         "neg": lambda kind, x: f"-{x}",
-        "not": _negated,
-        "abs": _absolute,
+        "not": lambda kind, x: f"!{x}" if kind == "bool" else f"~{x}",
+        "abs": lambda kind, x: f"fabs({x})" if kind in ("double", "float") else f"({x} < 0 ? -{x} : {x})",
         "square": lambda kind, x: f"{x} * {x}",
         "one_minus_square": lambda kind, x: f"(1 + {x}) * (1 - {x})",
         "shift_right_arithmetic": lambda kind, x, y: f"{x} >> {y}",

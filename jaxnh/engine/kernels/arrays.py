@@ -92,11 +92,6 @@ def _rearrangement(equation: Any) -> Rearrangement:
     }[name]
 
 
-def structural(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value]:
-    """Write an operation that moves elements."""
-    return [rearranged(emitter, _rearrangement(equation), inputs)]
-
-
 def split(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Value]:
     """Write an array's parts along an axis."""
     axis, ends = equation.params["axis"], np.cumsum(equation.params["sizes"])
@@ -379,7 +374,9 @@ def rules() -> dict[str, Rule]:
         "stack",
         "tile",
     )
-    table: dict[str, Rule] = dict.fromkeys(moved, structural)
+    table: dict[str, Rule] = dict.fromkeys(
+        moved, lambda emitter, equation, inputs: [rearranged(emitter, _rearrangement(equation), inputs)]
+    )
     table |= {
         "split": split,
         "unstack": unstack,
