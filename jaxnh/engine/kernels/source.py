@@ -49,7 +49,7 @@ def write_kernel(function: Callable[..., Any], shared: Any, one: Any) -> Kernel:
         UnsupportedError: the function has an operation that kernels do not know.
     """
     closed, out = jax.make_jaxpr(function, return_shape=True)(shared, one)
-    emitter = Emitter(arithmetic.rules() | arrays.rules() | control.rules())
+    emitter = Emitter(_rules())
     inputs, declared = [], list[str]()
     for number, leaf in enumerate(jax.tree.leaves(shared)):
         inputs.append(_argument(emitter, f"p{number}", tuple(leaf.shape), leaf.dtype, declared))
@@ -67,7 +67,7 @@ def write_kernel(function: Callable[..., Any], shared: Any, one: Any) -> Kernel:
     text = "\n".join(
         [
             f"#define THREADS {THREADS}",
-            resources.files("jaxnh.engine.kernels").joinpath("prelude.h").read_text(encoding="utf-8"),
+            _prelude(),
             *(f"TABLE {body.replace('NAME', name)};" for body, name in emitter.tables.items()),
             f"ONE_LANE void one(const long long lane, {', '.join(declared)}) {{",
             *emitter.lines,
@@ -103,7 +103,15 @@ def _write_result(emitter: Emitter, name: str, value: Value, shape: tuple[int, .
 
 
 @cache
+def _rules() -> Any:
+    return arithmetic.rules() | arrays.rules() | control.rules()
+
+
 @cache
+def _prelude() -> str:
+    return resources.files("jaxnh.engine.kernels").joinpath("prelude.h").read_text(encoding="utf-8")
+
+
 def shapes_of(tree: Any) -> Any:
     """Return shapes and types of a pytree's leaves."""
     return jax.tree.map(
