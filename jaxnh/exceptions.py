@@ -5,6 +5,9 @@ The message of an exception is a sentence for the user. How a command ends with 
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 
 class JaxnhError(Exception):
     """Base of all errors of the package."""
@@ -26,6 +29,17 @@ class ArgumentError(InputError):
     def __init__(self, argument: str, what: str, remedy: str = "") -> None:
         super().__init__(f"{argument}: {what}{remedy and f'; fresh=True {remedy}'}")
         self.argument, self.what, self.remedy = argument, what, remedy
+
+
+def take_path(given: object, taker: str, what: str) -> Path:
+    """Return a path that a user has given.
+
+    Raises:
+        InputError: it is none; `taker` takes that of a `what`.
+    """
+    if not isinstance(given, str | os.PathLike):
+        raise InputError(f"{taker} takes the path of a {what}, not {type(given).__name__}")
+    return Path(given)
 
 
 class ConfigError(InputError):

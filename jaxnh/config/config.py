@@ -23,7 +23,7 @@ from jaxnh.config.messages import Layout, close_match, first_fault
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
 from jaxnh.config.user_system import UserAccuracy, UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import ConfigSource, read
-from jaxnh.exceptions import ConfigError, InputError
+from jaxnh.exceptions import ConfigError, InputError, take_path
 from jaxnh.systems.user_text import Names, names_in, read_text
 
 
@@ -155,7 +155,8 @@ class Config(Block):
         Raises:
             InputError: such a file is there, or it cannot be written.
         """
-        texts = {Path(path): self.text, **self._texts_beside(Path(path).parent)}
+        file = take_path(path, "save", "YAML file")
+        texts = {file: self.text, **self._texts_beside(file.parent)}
         for target, text in texts.items():
             if not overwrite and target.exists() and target.read_text(encoding="utf-8") != text:
                 raise InputError(f"{target} is there and says something else; overwrite=True replaces it")
@@ -286,9 +287,10 @@ def load_config(path: str | Path, overrides: Sequence[str] = (), user_text: str 
     Raises:
         ConfigError: one line, `FILE:LINE: KEY: what is wrong`.
     """
-    if not isinstance(path, str | Path):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise InputError(f"load takes the path of a YAML file, not {type(path).__name__}")
-    return config_of(read(Path(path), overrides), Path(path).parent, user_text)
+    file = take_path(path, "load", "YAML file")
+    if isinstance(overrides, str):
+        raise InputError(f"overrides are a list, as [{overrides!r}], and not one text")
+    return config_of(read(file, overrides), file.parent, user_text)
 
 
 _C = TypeVar("_C", bound=Config)

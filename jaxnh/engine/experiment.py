@@ -32,6 +32,7 @@ from jaxnh.engine.clocks import decides_clock, scales_time
 from jaxnh.engine.fitting import check_analyses, check_events, check_levels
 from jaxnh.engine.flows import particle_flow, section_of
 from jaxnh.engine.start_states import admit_starts, check_starts
+from jaxnh.exceptions import InputError
 from jaxnh.maps.section import System, begin
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.lagrangian import Lagrangian
@@ -46,6 +47,10 @@ class Experiment(Config):
     _filler: str = PrivateAttr(default="")
 
     # ---- how it is made
+
+    def __init__(self, *arguments: Any, **content: Any) -> None:
+        """Say how an experiment is made: not by hand."""
+        raise InputError("an experiment is read by jaxnh.load, or made by Experiment.from_dict or Experiment.from_text")
 
     @classmethod
     def from_config(cls, config: Config, user_file: UserFile | None = None) -> Experiment:

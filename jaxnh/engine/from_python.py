@@ -11,6 +11,7 @@ import numpy as np
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError
 from jaxnh.systems.definition import DefinedFlow
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.free_particle import FreeParticle
 from jaxnh.systems.function_source import source_text
 from jaxnh.systems.particle import IsokineticParticle
@@ -54,11 +55,7 @@ def experiment_of(
         lane = "b", float(content["system"].pop("b", 0.0))
     elif isinstance(system, DefinedFlow) or callable(system):
         function = system.define if isinstance(system, DefinedFlow) else system
-        given = (
-            {name: float(np.asarray(value)) for name, value in system.values.items()}
-            if isinstance(system, DefinedFlow)
-            else {}
-        )
+        given = _plain_numbers(system.values) if isinstance(system, DefinedFlow) else {}
         path = Path(f"{getattr(function, '__name__', 'system')}.py")
         user_file = UserFile(path, source_text(function))
         content["system"] = {"file": str(path), **given, **(parameters or {})}
@@ -86,7 +83,7 @@ def _one_lane(file: UserFile, content: dict[str, Any]) -> tuple[str, float]:
 
 def _particle(flow: IsokineticParticle | FreeParticle) -> dict[str, Any]:
     """The block `system` of a config whose flow this is."""
-    p = {name: float(np.asarray(value)) for name, value in flow.parameters.items()}
+    p = _plain_numbers(flow.parameters)
     names, constraint = ["a", "b", "omega"], "free"
     if isinstance(flow, IsokineticParticle):
         disturbed = "disturbance" not in flow.without
@@ -95,3 +92,14 @@ def _particle(flow: IsokineticParticle | FreeParticle) -> dict[str, Any]:
     without = sorted(flow.without - {"disturbance"})
     block: dict[str, Any] = {name: p[name] for name in names if name in p}
     return {"constraint": constraint, **block, **({"without": without} if without else {})}
+
+
+def _plain_numbers(values: Parameters) -> dict[str, float]:
+    numbers = {}
+    for name, value in values.items():
+        try:
+            numbers[name] = float(np.asarray(value))
+        except (TypeError, ValueError):
+            kind = "the text " if isinstance(value, str) else ""
+            raise InputError(f"{name} is a number, not {kind}{value!r}") from None
+    return numbers

@@ -13,7 +13,7 @@ from jaxnh.engine.progress import Progress
 from jaxnh.engine.run import RunOptions, run_to_file
 from jaxnh.engine.session import ProgressCallback, Session, as_progress
 from jaxnh.engine.xla_options import configure
-from jaxnh.exceptions import InputError
+from jaxnh.exceptions import InputError, take_path
 from jaxnh.storage.hdf5 import open_result
 
 
@@ -58,7 +58,7 @@ def run(
         return Session(experiment, progress=progress).tree()
     if dask:
         dask_workers.check(dask)
-    path = file_of(Path(output))
+    path = file_of(take_path(output, "output", "result file"))
     if not is_there(experiment, path, fresh=fresh):
         check_output(path)
         run_to_file(experiment, path, RunOptions(fresh=fresh, dask=dask, tile=tile, yes=yes), as_progress(progress))

@@ -197,7 +197,7 @@ class Session:
             analysis, options = _name_of(analysis), analysis
         if isinstance(analysis, type):
             raise InputError(f"options are made by a call, as jaxnh.{analysis.__name__.removesuffix('Options')}()")
-        asked_for = analysis_of(analysis)
+        asked_for = analysis_of(analysis) if isinstance(analysis, str) else None
         if asked_for is None:
             raise InputError(f"there is no analysis {analysis}; known are {', '.join(ANALYSES)}")
         self._check_arguments(asked_for, options, axes)
@@ -334,7 +334,11 @@ def as_progress(progress: ProgressCallback | Progress | None) -> Progress:
     """Progress of a function, or as it is."""
     if progress is None:
         return NullProgress()
-    return progress if hasattr(progress, "start") else CallbackProgress(progress)  # pyright: ignore[reportReturnType, reportArgumentType]
+    if hasattr(progress, "start"):
+        return progress  # pyright: ignore[reportReturnType]
+    if not callable(progress):
+        raise InputError(f"progress is a function of (label, done, in all), not {type(progress).__name__}")
+    return CallbackProgress(progress)
 
 
 def _within(axes: Sequence[Axis], known: Sequence[Axis]) -> bool:

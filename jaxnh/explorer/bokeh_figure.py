@@ -7,7 +7,7 @@ from dataclasses import replace
 import xarray as xr
 from bokeh.plotting import figure
 
-from jaxnh.exceptions import ResultError
+from jaxnh.exceptions import InputError, ResultError
 from jaxnh.explorer.figures import Drawing
 from jaxnh.explorer.recording import source_of
 
@@ -21,8 +21,11 @@ def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:
         quantity: of planes the group, of a diagram the coordinate; None, or "diagram" of a diagram: the first.
 
     Raises:
+        InputError: that is no result.
         ResultError: there is neither a plane nor a diagram, or not this quantity.
     """
+    if not isinstance(result, xr.DataTree):
+        raise InputError(f"a figure is of a result, as of open_result, not {type(result).__name__}")
     source = source_of(result, str(result.attrs.get("title") or "the result"))
     first = quantity is None or (quantity == "diagram" and not source.first.second)
     view = source.first if first else replace(source.first, variable=quantity)

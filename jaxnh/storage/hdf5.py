@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import h5py
 import numpy as np
 
-from jaxnh.exceptions import DamagedError, ResultError
+from jaxnh.exceptions import DamagedError, ResultError, take_path
 from jaxnh.jobs.arrays import DATA, Attributes, Hash, as_text, checksum, index_words, plain
 from jaxnh.storage import parts
 from jaxnh.storage.atomic import Sink, replace_atomically
@@ -200,11 +200,12 @@ def open_result(path: str | Path) -> xr.DataTree:
     Close it, or use it in a `with`; `load()` reads all of it.
 
     Raises:
+        InputError: that is no path.
         ResultError: the file is not there, is not HDF5, is damaged, or is not a result of jaxnh.
     """
     import xarray as xr
 
-    path = Path(path)
+    path = take_path(path, "open_result", "result file")
     read_attrs(path)
     try:
         return xr.open_datatree(path, **_AS_STORED)

@@ -178,6 +178,8 @@ class UserFile:
             raise self._fault(line, "period and time_unit exclude each other: with a period, it is the unit of time")
         for name in CLOCKS:
             length = definition.get(name, 1.0)
+            if isinstance(length, str):
+                raise self._fault(line, f"{name} must be a number, not the text {length!r}")
             if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
         made = {key: components_of(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}

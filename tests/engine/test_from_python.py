@@ -39,6 +39,10 @@ def lorenz(sigma=10.0, rho=28.0, beta=8 / 3):
     return {"rhs": rhs, "coordinates": ("x", "y", "z")}
 
 
+def timeless(a=1.0):
+    return {"rhs": lambda y, t: (a * y[0],), "coordinates": ("x",), "period": "a"}
+
+
 START = {"x": 1.0, "y": 1.0, "z": 20.0}
 FILE = """\
 def system(sigma=10.0, rho=28.0, beta=8 / 3):
@@ -265,6 +269,37 @@ MISUSES = {
     ),
     "run of a path": (lambda s: jaxnh.run("a.yaml"), "run takes an experiment, not str: jaxnh.load"),
     "load of nothing": (lambda s: jaxnh.load(None), "load takes the path of a YAML file, not NoneType"),
+    "load of overrides in one text": (
+        lambda s: jaxnh.load("a.yaml", "sweep.b.count=3"),
+        "overrides are a list, as ['sweep.b.count=3'], and not one text",
+    ),
+    "a result of nothing": (
+        lambda s: jaxnh.open_result(None),
+        "open_result takes the path of a result file, not NoneType",
+    ),
+    "an output that is a number": (
+        lambda s: jaxnh.run(s.experiment, 3),
+        "output takes the path of a result file, not int",
+    ),
+    "a config saved as nothing": (
+        lambda s: s.experiment.save(None),
+        "save takes the path of a YAML file, not NoneType",
+    ),
+    "progress that is a number": (
+        lambda s: jaxnh.run(s.experiment, progress=3),
+        "progress is a function of (label, done, in all), not int",
+    ),
+    "an experiment by hand": (lambda s: jaxnh.Experiment(), "an experiment is read by jaxnh.load"),
+    "a parameter of a flow in words": (
+        lambda s: jaxnh.Session(jaxnh.disturbed_speed(d="a")),
+        "d is a number, not the text 'a'",
+    ),
+    "a period in words": (lambda s: jaxnh.Session(timeless), "period must be a number, not the text 'a'"),
+    "a page of nothing": (
+        lambda s: jaxnh.bokeh_figure(None),
+        "a figure is of a result, as of open_result, not NoneType",
+    ),
+    "analyses in a list": (lambda s: s.run([]), "there is no analysis []; known are doubling"),
     "a figure of nothing": (lambda s: jaxnh.figure(None), "a figure is of a result, one group of it"),
     "values in place of options": (
         lambda s: s.run("portrait", np.arange(3.0)),
