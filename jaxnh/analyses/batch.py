@@ -21,7 +21,7 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import UNSAID, Flow, Parameters
-from jaxnh.systems.state import LaneStates, State
+from jaxnh.systems.state import State
 
 
 @dataclass(frozen=True)
@@ -281,11 +281,11 @@ class LaneRunner(Protocol):
     ) -> Result:
         """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
 
-    def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> LaneStates:
+    def iterate(self, maps: Maps, n: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
         """Return Pⁿ of every lane, in as many calls as are needed to let a run be stopped in time."""
         ...
 
-    def record(self, maps: Maps, count: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> LaneStates:
+    def record(self, maps: Maps, count: int, lanes: tuple[State, Parameters], *, tile: int | None = None) -> State:
         """Return the states of every lane after 1, 2, …, count periods, components (lanes, count)."""
         ...
 
@@ -298,7 +298,7 @@ class LaneRunner(Protocol):
         shared: tuple[Any, ...],
         *,
         tile: int | None = None,
-    ) -> tuple[Any, LaneStates]:
+    ) -> tuple[Any, State]:
         """Return function(*shared, state) of the states of `record`, (lanes, count, …), and the last of them."""
         ...
 
