@@ -22,7 +22,7 @@ from jaxnh.costs import effects as costs_of_effects
 from jaxnh.engine.accuracy.calibration import Calibration, Plan
 from jaxnh.engine.accuracy.step_classes import lanes_by_steps, mean_steps
 from jaxnh.engine.axes import points
-from jaxnh.engine.compute import batch_of, spent
+from jaxnh.engine.compute import batch_of, seconds_spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.output import check_output
@@ -206,7 +206,7 @@ def _write(bench: PricedExperiment, path: Path, groups: Mapping[str, xr.Dataset]
     """The file, with what decides its numbers as attributes."""
     experiment = bench.experiment
     job = job_of(experiment, experiment.axes, bench.plan, {}, experiment.requested(), bench.lanes.machine)
-    total = spent(bench.lanes, time.perf_counter() - bench.began)
+    total = seconds_spent(bench.lanes, time.perf_counter() - bench.began)
     attrs = attributes(experiment, job, total, command_line("jaxnh.cost"))
     attrs = {("cost_of" if name == "config_sha256" else name): value for name, value in attrs.items()}
     hdf5.write(path, attrs, groups)

@@ -53,7 +53,7 @@ class ComputedPiece(NamedTuple):
     spent: SecondsSpent
 
 
-def spent(lanes: LaneExecutor, seconds: float) -> SecondsSpent:
+def seconds_spent(lanes: LaneExecutor, seconds: float) -> SecondsSpent:
     """Cost of an executor so far; `seconds` is the time it took."""
     device = f"{len(lanes.devices)} x {lanes.devices[0].device_kind} ({lanes.devices[0].platform})"
     return SecondsSpent(seconds, lanes.accounts.compile_seconds, lanes.accounts.lane_periods, device)
@@ -120,7 +120,7 @@ def compute(
     """
     if job.cutting.is_whole(batch[0]):
         return [_combine_tiles(experiment, axes, requested, job, piece, lanes, gather, earlier) for piece in batch]
-    began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
+    began, before = time.perf_counter() - earlier, seconds_spent(lanes, 0.0)
     line = batch[0].names != job.cutting.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
     if level is not None:
@@ -128,7 +128,7 @@ def compute(
         places = tuple(place[wanted] for place in places)
     args = experiment, axes, requested, job, batch[0].names, places, lanes
     groups = _by_class(*args) if job.plan.step_classes and not line else _groups(*args, line=line)
-    after = spent(lanes, time.perf_counter() - began)
+    after = seconds_spent(lanes, time.perf_counter() - began)
     done, first = [], 0
     for piece in batch:
         count = lanes_of(piece, level)
@@ -227,7 +227,7 @@ def _combine_tiles(
     earlier: float,
 ) -> ComputedPiece:
     """Compute what an analysis makes of all its tiles."""
-    began, before = time.perf_counter() - earlier, spent(lanes, 0.0)
+    began, before = time.perf_counter() - earlier, seconds_spent(lanes, 0.0)
     [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
     assert analysis.whole is not None
     shape = job.cutting.shape
@@ -245,7 +245,7 @@ def _combine_tiles(
     groups = analysis.whole.run(options, SweepLanes(tuple(axes), tuple(rows)), lanes, data)
     if job.cutting.level:
         groups = {name: mark_computed(group, data) for name, group in groups.items()}
-    after = spent(lanes, time.perf_counter() - began)
+    after = seconds_spent(lanes, time.perf_counter() - began)
     cost = after._replace(
         compile_seconds=after.compile_seconds - before.compile_seconds,
         lane_periods=after.lane_periods - before.lane_periods,

@@ -15,7 +15,7 @@ from typing import Any
 
 from jaxnh.engine import dask_workers
 from jaxnh.engine.batches import batches
-from jaxnh.engine.compute import ComputedPiece, compute, spent
+from jaxnh.engine.compute import ComputedPiece, compute, seconds_spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.threads import run_side_by_side
 from jaxnh.engine.experiment import Experiment
@@ -186,7 +186,7 @@ class _Run:
         parts = self._how.part[1] if self._how.part else 1
         job = decide(self._experiment, lanes, self._how.tile, parts, machine, asked=self._how.yes)
         self._check()
-        cost = spent(lanes, time.perf_counter() - self._began)
+        cost = seconds_spent(lanes, time.perf_counter() - self._began)
         own = self._experiment.user_file
         return tiles.publish(self._folder, job, tiles.Origin(self._experiment.text, own and own.text, cost))
 

@@ -20,7 +20,7 @@ from jaxnh.analyses.registry import ANALYSES, analysis_of
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.batches import Requested, batches
-from jaxnh.engine.compute import compute, spent
+from jaxnh.engine.compute import compute, seconds_spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.from_python import System, experiment_of
@@ -240,7 +240,7 @@ class Session:
         """All analyses that the experiment asks for, with the root attributes of a result file."""
         began = time.perf_counter()
         job, groups = self._compute(self.experiment)
-        attrs = attributes(self.experiment, job.stages()[-1], spent(self._lanes, time.perf_counter() - began))
+        attrs = attributes(self.experiment, job.stages()[-1], seconds_spent(self._lanes, time.perf_counter() - began))
         return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs), **groups})  # pyright: ignore[reportUnknownMemberType]
 
     # ---- how
@@ -266,11 +266,11 @@ class Session:
         drawn = frozenset(start_samplers(requested))
         for known, sectioned, starts, short, plan in self._plans:
             # A return is made of steps in time.
-            if _within(axes, known) and sectioned >= experiment.sectioned and starts >= drawn:
+            if _lies_within(axes, known) and sectioned >= experiment.sectioned and starts >= drawn:
                 if short and not is_short(experiment, axes, plan, requested):
                     continue  # solvers were not compared, and a longer run is worth it
                 return plan
-        if _within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
+        if _lies_within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes
         plan = find(experiment, axes, self._lanes, requested)
         short = is_short(experiment, axes, plan, requested)
@@ -341,7 +341,7 @@ def as_progress(progress: ProgressCallback | Progress | None) -> Progress:
     return CallbackProgress(progress)
 
 
-def _within(axes: Sequence[Axis], known: Sequence[Axis]) -> bool:
+def _lies_within(axes: Sequence[Axis], known: Sequence[Axis]) -> bool:
     """Return whether a calibration of some axes holds for others: the same ones, between their ends."""
     ends = {axis.name: (axis.values.min(), axis.values.max()) for axis in known}
     if {axis.name for axis in axes} != set(ends):

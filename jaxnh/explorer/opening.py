@@ -52,9 +52,9 @@ def open_file(
         InputError: nothing can be shown of it, or a saved view is not one of it.
     """
     saved = saved_view(content.explore if content else None)
-    files = [*(_beside(path, name) for name in saved.over), *over]
+    files = [*(_find_file(path, name) for name in saved.over), *over]
     more = tuple(map(read_overlays, files))
-    result = _beside(path, saved.result) if saved.result else path
+    result = _find_file(path, saved.result) if saved.result else path
     shown = content is None or bool(saved.result)
     saved = saved.with_files(str(result.resolve()) if shown else "", [str(file.resolve()) for file in files])
     if content is None or shown:
@@ -106,7 +106,7 @@ def keeping(opened: PageContent, before: PictureSource, seen: SavedView) -> Page
     return opened._replace(saved=seen) if suits else opened
 
 
-def _beside(path: Path, name: str) -> Path:
+def _find_file(path: Path, name: str) -> Path:
     """A file that a saved view names: where it was, or else in the folder of the saved view."""
     there = path.parent / name
     return there if there.is_file() else path.parent / there.name

@@ -51,7 +51,7 @@ def basins_chart(data: xr.Dataset, ax: Axes | None = None, *, over: Iterable[xr.
     Raises:
         ResultError: a variable is missing, or there are not two axes of more than one point.
     """
-    ax, known = new_axes(ax), _known(over)
+    ax, known = new_axes(ax), _common_attractors(over)
     pixels, named = _pixels(data, known)
     image_of(pixels, ax)
     legend_above(ax, [_patch(entry) for entry in pixels.entries], 3)
@@ -67,10 +67,10 @@ def basin_pixels(data: xr.Dataset, over: Iterable[xr.Dataset] = ()) -> Pixels:
     Raises:
         ResultError: a variable is missing, or there are not two axes of more than one point.
     """
-    return _pixels(data, _known(over))[0]
+    return _pixels(data, _common_attractors(over))[0]
 
 
-def _known(over: Iterable[xr.Dataset]) -> list[xr.Dataset]:
+def _common_attractors(over: Iterable[xr.Dataset]) -> list[xr.Dataset]:
     """Groups of attractors with one list for the whole plane."""
     return [group for group in over if group.sizes.get("attractor", 0) and "kind" in group and group["kind"].ndim == 1]
 

@@ -38,7 +38,7 @@ def branches(
     ax = new_axes(ax)
     parameter, [drawn] = parameter_of(data), variables_of(data)
     stable, period = (variable.to_numpy() for variable in require_variables(data, "stable", "period"))
-    edges = [_below(group, str(drawn.name).removesuffix("_points"), parameter, ax) for group in under]
+    edges = [_draw_density(group, str(drawn.name).removesuffix("_points"), parameter, ax) for group in under]
     x, y = data[parameter].to_numpy(), drawn.transpose("branch", "point", "iterate").to_numpy()
     marks = list(marks)
     turns = _bifurcation_points(marks, parameter, len(x))
@@ -98,7 +98,7 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _below(group: xr.Dataset, name: str, parameter: str, ax: Axes) -> np.ndarray:
+def _draw_density(group: xr.Dataset, name: str, parameter: str, ax: Axes) -> np.ndarray:
     """Strobe points as a grey density, where they are of the same coordinate over the same axis; its edges."""
     if name not in group:
         return np.zeros(0)

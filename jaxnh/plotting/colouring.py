@@ -76,14 +76,14 @@ def colouring(name: str, data: xr.Dataset, groups: Iterable[xr.Dataset]) -> Colo
     variable = variables_of(data)[0]
     axes = set(axes_of(data))
     if name in data.coords and set(data[name].dims) <= set(variable.dims):
-        return _of(data[name], axis_label(data[name]))
+        return _colour_by(data[name], axis_label(data[name]))
     if name in variable.dims:
-        return _of(_numbers(variable, (name,), name), name)
+        return _colour_by(_numbers(variable, (name,), name), name)
     if name == START and axes:
         return _of_lanes(data)
     candidates = {str(key): item for group in groups for key, item in group.data_vars.items() if _of_a_lane(item, axes)}
     if name in candidates:
-        return _of(candidates[name], axis_label(candidates[name]))
+        return _colour_by(candidates[name], axis_label(candidates[name]))
     there = [START, *(str(dim) for dim in variable.dims if dim in axes), *candidates]
     raise ArgumentError("colour", f"nothing is called {name} to colour by; there are {', '.join(dict.fromkeys(there))}")
 
@@ -112,7 +112,7 @@ def _numbers(variable: xr.DataArray, dims: tuple[str, ...], name: str) -> xr.Dat
     return xr.DataArray(np.arange(np.prod(shape)).reshape(shape), dims=dims, name=name)
 
 
-def _of(values: xr.DataArray, words: str) -> Colouring:
+def _colour_by(values: xr.DataArray, words: str) -> Colouring:
     """Return the colouring by a variable: flags and few values by a colour each, others on a scale."""
     if "flag_meanings" in values.attrs and "valid_min" not in values.attrs:
         return Colouring(values, words, {value: (colour, said) for value, (said, colour) in meanings(values).items()})

@@ -53,7 +53,7 @@ def _name_of(data: xr.Dataset) -> str:
     return next((name for name, (signs, _) in _GROUPS.items() if there.issuperset(signs)), "")
 
 
-def _over(data: xr.Dataset, *dims: str) -> list[str]:
+def _names_over(data: xr.Dataset, *dims: str) -> list[str]:
     """Variables of numbers whose last dimensions are these."""
     items = ((str(name), item) for name, item in data.data_vars.items() if item.dtype.kind == "f")
     return [name for name, item in items if item.dims[-len(dims) :] == dims]
@@ -61,12 +61,12 @@ def _over(data: xr.Dataset, *dims: str) -> list[str]:
 
 def _states_over(data: xr.Dataset, dim: str) -> list[str]:
     """The same but for times."""
-    return [name for name in _over(data, dim) if name != "t"]
+    return [name for name in _names_over(data, dim) if name != "t"]
 
 
 def _with_errors(data: xr.Dataset, *dims: str) -> tuple[str, ...]:
     """Parameters: of variables over these dimensions those that have an error, but for δ."""
-    return tuple(name for name in _over(data, *dims) if f"{name}_error" in data and name != "delta")
+    return tuple(name for name in _names_over(data, *dims) if f"{name}_error" in data and name != "delta")
 
 
 def _plane(data: xr.Dataset, panel: str, dim: str) -> _Description:
@@ -88,7 +88,7 @@ def _lyapunov(data: xr.Dataset) -> _Description:
 
 
 def _period(data: xr.Dataset) -> _Description:
-    if names := [name for name in _over(data, "phase") if name.endswith("_response")]:
+    if names := [name for name in _names_over(data, "phase") if name.endswith("_response")]:
         return _Description("phase_responses", names, ("phase",))
     return _Description("integers", ("period",), label="least period")
 
@@ -104,7 +104,7 @@ def _doubling(data: xr.Dataset) -> _Description:
 
 
 def _of_orbits(data: xr.Dataset, panel: str, parameters: tuple[str, ...], *own: str) -> _Description:
-    names = [name for name in _over(data, "iterate") if name.endswith("_points")]
+    names = [name for name in _names_over(data, "iterate") if name.endswith("_points")]
     return _Description(panel, names[:1], (*own, "iterate"), parameters=parameters)
 
 
@@ -129,7 +129,7 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("branch_kind",),
         lambda data: _Description(
             "manifolds",
-            [name for name in _over(data, "point") if name.endswith("_points")][:2],
+            [name for name in _names_over(data, "point") if name.endswith("_points")][:2],
             ("saddle", "branch", "point"),
         ),
     ),
@@ -154,11 +154,13 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
     "doubling": (("delta", "level"), _doubling),
     "windows": (
         ("crisis",),
-        lambda data: _Description("windows", ("period",), ("window",), parameters=tuple(_over(data, "searched")[:1])),
+        lambda data: _Description(
+            "windows", ("period",), ("window",), parameters=tuple(_names_over(data, "searched")[:1])
+        ),
     ),
     "branches": (
         ("begins", "stable"),
-        lambda data: _of_orbits(data, "branches", tuple(_over(data, "branch", "point")[:1]), "branch", "point"),
+        lambda data: _of_orbits(data, "branches", tuple(_names_over(data, "branch", "point")[:1]), "branch", "point"),
     ),
     "bifurcations": (
         ("criticality",),

@@ -104,7 +104,7 @@ def _exchanged(swap: Number, upper: list[Number], lower: list[Number]) -> tuple[
     return [jnp.where(swap, y, x) for x, y in pairs], [jnp.where(swap, x, y) for x, y in pairs]
 
 
-def known(x: Number) -> Number:
+def as_float(x: Number) -> Number:
     """A component as a float where it is known while the program is traced, else as it is."""
     return x if isinstance(x, Tracer) or jnp.ndim(x) else float(x)
 

@@ -93,7 +93,7 @@ def _put(name: str, value: Any, user: FunctionType, parts: dict[str, str], known
         parts[name] = f"from {module} import {known_as}" + ("" if known_as == name else f" as {name}")
     else:
         raise InputError(
-            f"{user.__name__} uses {name}, {_shown(value)}, which its text alone does not say; "
+            f"{user.__name__} uses {name}, {_describe(value)}, which its text alone does not say; "
             "give numbers as parameters of the function, or make it a file of its own"
         )
 
@@ -159,7 +159,7 @@ def _is_literal(value: Any) -> bool:
     )
 
 
-def _shown(value: Any) -> str:
+def _describe(value: Any) -> str:
     """A value in a message."""
     kind = type(value).__name__
     return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxnh.systems.elimination import eliminate, is_positive_definite, known, minus, times
+from jaxnh.systems.elimination import as_float, eliminate, is_positive_definite, minus, times
 from jaxnh.systems.kinematics import Kinematics
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import constants, slope
@@ -157,7 +157,7 @@ def applied_forces(equations: Equations, q: Vector, v: Vector, t: Number) -> lis
         pull = kinematics.directional_slopes(energy, at, k)
         return inertia, pull, kinematics.hamel_forces([momentum(*at) for momentum in momenta], at, k)
 
-    forces = [known(force) for force in equations.Q(q, v, t)]
+    forces = [as_float(force) for force in equations.Q(q, v, t)]
     inertia, *added = _read(parts, (*q, *v, t))
     total = []
     for j, force in enumerate(forces):

@@ -17,14 +17,14 @@ def in_periods(define: Callable[..., Definition]) -> Callable[..., Definition]:
     def in_periods_of(**p: Any) -> Mapping[str, Any]:
         definition = define(**p)
         period, rhs = definition["period"], definition["rhs"]
-        scaled = {name: _over(period, each) for name, each in definition.get("observables", {}).items()}
+        scaled = {name: _in_shares(period, each) for name, each in definition.get("observables", {}).items()}
         more = {"observables": scaled} if scaled else {}
-        rates = _over(period, rhs)
+        rates = _in_shares(period, rhs)
         return {**definition, **more, "period": 1.0, "rhs": lambda y, t: tuple(period * rate for rate in rates(y, t))}
 
     return in_periods_of
 
 
-def _over(period: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+def _in_shares(period: Any, function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of (y, t) at times that are shares of a period."""
     return lambda y, share: function(y, period * share)

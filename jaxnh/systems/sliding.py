@@ -82,7 +82,7 @@ def free_motion(field: Vector, constraints: int) -> HeldMotion:
 def sliding_motion(above: Field, below: Field, height: Height, t: Number, y: Vector) -> HeldMotion:
     """The motion along a surface between two fields, of one constraint."""
     upper, lower = above(y, t), below(y, t)
-    up, down = (_along(height, t, y, rates, 1.0)[1] for rates in (upper, lower))
+    up, down = (_value_and_slope(height, t, y, rates, 1.0)[1] for rates in (upper, lower))
     across = tuple(a - b for a, b in zip(upper, lower, strict=True))
     gain = up - down
     weight = -down / jnp.where(gain == 0.0, 1.0, gain)
@@ -96,15 +96,15 @@ def resting_motion(field: Field, jump: Field, height: Height, t: Number, y: Vect
     """The motion on a wall that the height rises to, of two constraints: the height, and its rate."""
 
     def speed(y: Vector, t: Number) -> Number:
-        return _along(height, t, y, field(y, t), 1.0)[1]
+        return _value_and_slope(height, t, y, field(y, t), 1.0)[1]
 
     rates, slope = field(y, t), jax.grad(speed)(y, t)
     turned = jax.jvp(lambda y: jump(y, t), (y,), (slope,))[1]
     reaction = tuple(a - b for a, b in zip(turned, slope, strict=True))
-    value, towards = _along(speed, t, y, rates, 1.0)
-    gain = _along(speed, t, y, reaction, 0.0)[1]
+    value, towards = _value_and_slope(speed, t, y, rates, 1.0)
+    gain = _value_and_slope(speed, t, y, reaction, 0.0)[1]
     moved = jax.jvp(lambda y: field(y, t), (y,), (reaction,))[1]
-    above, closing = _along(height, t, y, moved, 0.0)
+    above, closing = _value_and_slope(height, t, y, moved, 0.0)
     held = tuple(f - towards / gain * r for f, r in zip(rates, reaction, strict=True))
     constraints = (Constraint(above, moved, closing), Constraint(value, reaction, gain))
     return HeldMotion(held, towards > 0.0, -towards, -jnp.ones_like(value), towards, constraints)
@@ -127,7 +127,7 @@ def without_rounding(one: Number, other: Number) -> Number:
     return jnp.where(jnp.abs(total) <= _CANCELLED * (jnp.abs(one) + jnp.abs(other)), 0.0, total)
 
 
-def _along(function: Height, t: Number, y: Vector, rates: Vector, by_t: float) -> tuple[Number, Number]:
+def _value_and_slope(function: Height, t: Number, y: Vector, rates: Vector, by_t: float) -> tuple[Number, Number]:
     """Value of a function of (y, t), and its derivative along rates of both."""
     t = jnp.asarray(t, jnp.float64)
     return jax.jvp(function, (tuple(y), t), (tuple(rates), by_t * jnp.ones_like(t)))

@@ -22,7 +22,7 @@ _INLINED = ("jit", "pjit", "closed_call", "core_call")
 
 _NO_DEVICES = jax.sharding.AbstractMesh((), ())
 
-Found = TypeVar("Found")
+Answer = TypeVar("Answer")
 Slot = int
 """Number of a value of a program."""
 
@@ -256,8 +256,8 @@ def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], 
 
 
 def cached_by_structure(
-    look: Callable[[Any, tuple[tuple[int, ...], ...]], Found],
-) -> Callable[[Any, tuple[tuple[int, ...], ...]], Found]:
+    look: Callable[[Any, tuple[tuple[int, ...], ...]], Answer],
+) -> Callable[[Any, tuple[tuple[int, ...], ...]], Answer]:
     """Cache the result of tracing functions for each structure of a pytree and shapes of its leaves.
 
     What is traced while a program for some devices is made is of that program's devices, unless it is traced apart.
@@ -265,7 +265,7 @@ def cached_by_structure(
 
     @functools.lru_cache(maxsize=256)
     @functools.wraps(look)
-    def cached(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Found:
+    def cached(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Answer:
         with jax.sharding.use_abstract_mesh(_NO_DEVICES):
             return look(structure, shapes)
 

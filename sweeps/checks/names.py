@@ -1,6 +1,7 @@
 """Names that say too little: a class name that is defined twice, or one word that is a participle or an adverb.
 
-Of classes and modules.
+Of classes and modules; and of functions of modules such a word of its own, a preposition or an irregular participle
+(regular ones say what a function gives, as Python's `sorted` does).
 
     python -m sweeps.checks.names
 
@@ -86,6 +87,7 @@ _PLACES = [
     "within",
     "without",
 ]
+_OF_FUNCTIONS = {*_PARTICIPLES, *_PLACES} - {"left", "put"}  # a side, and a verb
 _NOUNS = {"seed", "speed", "_seed", "bed", "feed", "need"}
 _ALLOWED = {"Stopped": "the public exception of a call that was stopped, as `asyncio.CancelledError` is named"}
 
@@ -97,7 +99,11 @@ def faults(folder: Path) -> Iterator[str]:
         place = path.relative_to(folder.parent).as_posix()
         if _says_too_little(path.stem):
             yield f"{place}: a module is named by what it has, not {path.stem}"
-        for node in ast.walk(ast.parse(path.read_text())):
+        tree = ast.parse(path.read_text())
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef) and node.name.strip("_") in _OF_FUNCTIONS:
+                yield f"{place}:{node.lineno}: a function is named by what it does or gives, not {node.name}"
+        for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 homes[node.name].append(f"{place}:{node.lineno}")
                 if _says_too_little(node.name) and node.name not in _ALLOWED:
@@ -119,7 +125,7 @@ def _says_too_little(name: str) -> bool:
 def main() -> int:
     """Run the check; returns its exit code."""
     found = list(faults(ROOT / PACKAGE))
-    print("\n".join(found) or "names: every class has one of its own, and none is a bare participle")
+    print("\n".join(found) or "names: every class has one of its own, and nothing is a bare participle or preposition")
     return 1 if found else 0
 
 

@@ -263,10 +263,10 @@ def _limit_words(data: xr.Dataset) -> str:
     symbols = ("δ", "α", str(data.attrs["along"]))
     pairs = zip(symbols, _LIMITS, strict=True)
     limits = [(symbol, float(data[name]), float(data[f"{name}_error"])) for symbol, name in pairs]
-    return ", ".join(f"{symbol} → {_known(*limit)}" for symbol, *limit in limits if np.isfinite(limit).all())
+    return ", ".join(f"{symbol} → {_with_error(*limit)}" for symbol, *limit in limits if np.isfinite(limit).all())
 
 
-def _known(value: float, error: float) -> str:
+def _with_error(value: float, error: float) -> str:
     """A number with as many digits as its error has a say in."""
     digits = max(_DIGITS, math.ceil(-math.log10(error))) if error > 0.0 else _DIGITS
     return f"{value:.{digits}f} ± {error:.1g}"

@@ -54,9 +54,9 @@ class KnownBranches:
             chord = length(
                 self._family, PathVector(*(part[first + 1] - part[first] for part in (self._points, self._value)))
             )
-            first = first[_apart(self._family, self._points[first], points) <= _REACH * chord + near]
+            first = first[_distances_from(self._family, self._points[first], points) <= _REACH * chord + near]
         there = self._orbits(first, ends, value)
-        return bool(len(there) and _apart(self._family, there, points).min() <= near)
+        return bool(len(there) and _distances_from(self._family, there, points).min() <= near)
 
     def orbits_at(self, value: float) -> Float[np.ndarray, "some n d"]:
         """Their orbits at a value of the parameter, nearly; where one turns, perhaps two."""
@@ -99,7 +99,7 @@ def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float
 
 def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], near: float) -> bool:
     """Return whether two orbits are as near as this in lengths, whichever of their points comes first."""
-    return len(one) == len(other) and bool(_apart(family, one[None], other)[0] <= near)
+    return len(one) == len(other) and bool(_distances_from(family, one[None], other)[0] <= near)
 
 
 def _with_room(table: np.ndarray, count: int) -> np.ndarray:
@@ -158,7 +158,7 @@ def _zeros(
     return 0.5 * (low + high)
 
 
-def _apart(
+def _distances_from(
     family: Family, orbits: Float[np.ndarray, "orbits n d"], orbit: Float[np.ndarray, "n d"]
 ) -> Float[np.ndarray, " orbits"]:
     """Distances of orbits from an orbit, in lengths, the least over its first points."""

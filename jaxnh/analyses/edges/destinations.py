@@ -127,7 +127,7 @@ def destinations(
     while len(active) and elapsed < of.most:
         state = lanes.iterate(of.strobe, count, (state, select(dict(of.batch.p), lane[active])), tile=TILE)
         new = of.batch.chart.host_points(state)
-        now = _near(of, new, lane[active])
+        now = _nearest_attractor(of, new, lane[active])
         now[~is_finite(state)] = ESCAPES
         with np.errstate(all="ignore"):  # of motions that go to infinity, or are at zero
             moved = np.abs(of.batch.chart.wrap(new - u[active])) / np.max(np.abs(new), axis=1, keepdims=True)
@@ -157,7 +157,7 @@ def _by_means(attractors: Attractors, places: Int[np.ndarray, " some"]) -> Int[n
     return np.lexsort(np.round(np.array(means) / size, 6).T[::-1])
 
 
-def _near(
+def _nearest_attractor(
     of: Destinations, u: Float[np.ndarray, "states d"], lane: Int[np.ndarray, " states"]
 ) -> Int[np.ndarray, " states"]:
     """Return the attractor that each point is nearest to, among those that it is near to."""

@@ -153,12 +153,12 @@ def _refine(space: Space, of: Destinations, lanes: LaneRunner, best: Shocks) -> 
     for angle in _ANGLES if k else ():
         here = _directions(space, best)
         basis = np.array([_orthogonal(direction) for direction in here])
-        around = _along(space, of, lanes, best, _turned(here, basis, np.tile(angle * turns, (count, 1, 1))))
+        around = _shocks_along(space, of, lanes, best, _turned(here, basis, np.tile(angle * turns, (count, 1, 1))))
         turn = _newton_turn(best.length, around.length.reshape(count, -1), pairs, k, angle)
-        moved = _along(space, of, lanes, best, _turned(here, basis, turn[:, None]))
+        moved = _shocks_along(space, of, lanes, best, _turned(here, basis, turn[:, None]))
         before, best = best.length, _shortest(best, around, moved)
         gain = before - best.length
-    fine = _along(space, of.refined(2), lanes, best, _directions(space, best)[:, None])
+    fine = _shocks_along(space, of.refined(2), lanes, best, _directions(space, best)[:, None])
     off = np.nan_to_num(np.abs(fine.length - best.length), nan=np.inf)
     return best._replace(error=WIDTH + _COVER * gain + off)
 
@@ -195,7 +195,7 @@ def _shortest(*parts: Shocks) -> Shocks:
     return Shocks(*(leaf[np.arange(count), which] for leaf in every))
 
 
-def _along(
+def _shocks_along(
     space: Space, of: Destinations, lanes: LaneRunner, best: Shocks, directions: Float[np.ndarray, "shocks some d"]
 ) -> Shocks:
     """Return the shocks in some directions from the point of each shock, about as long as it."""

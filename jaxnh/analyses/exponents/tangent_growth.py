@@ -308,7 +308,7 @@ def gram_schmidt(
         orthonormal.append(tuple(v * inverse for v in vector))
         logs.append(grown)
     for k, vanished in enumerate(lost):
-        across = _across(orthonormal)
+        across = _orthogonal_to(orthonormal)
         orthonormal[k] = tuple(jnp.where(vanished, new, old) for new, old in zip(across, orthonormal[k], strict=True))
     return tuple(orthonormal), tuple(logs)
 
@@ -321,7 +321,7 @@ def _project_out(orthonormal: Sequence[Vector], vector: Vector) -> Vector:
     return vector
 
 
-def _across(orthonormal: Sequence[Vector]) -> Vector:
+def _orthogonal_to(orthonormal: Sequence[Vector]) -> Vector:
     """Return a unit vector across vectors that are orthonormal or zero, where there is one: nearest to an axis."""
     shares = jnp.stack([sum(e[i] * e[i] for e in orthonormal) for i in range(len(orthonormal[0]))])
     nearest = jnp.argmin(shares, axis=0)

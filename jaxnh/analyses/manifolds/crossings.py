@@ -75,8 +75,8 @@ def crossing_segments(
         for other_number, other in stable:
             first, second, share, other_share = _crossed(one.points[1:], other.points[1:], size, wrap, angles)
             count = len(first)
-            x = np.stack([_between(one.x, first, share), _between(other.x, second, other_share)], axis=1)
-            arc = _between(one.arc, first, share) + _between(other.arc, second, other_share)
+            x = np.stack([_interpolate(one.x, first, share), _interpolate(other.x, second, other_share)], axis=1)
+            arc = _interpolate(one.arc, first, share) + _interpolate(other.arc, second, other_share)
             parts.append(Meetings(np.full(count, number), np.full(count, other_number), x, arc))
     every = joined(parts)
     return take(every, np.argsort(every.arc, kind="stable")[: _CANDIDATES * most])
@@ -171,7 +171,7 @@ def _near_blocks(one: np.ndarray, other: np.ndarray, angles: bool) -> tuple[np.n
     return first, second
 
 
-def _between(values: Float[np.ndarray, " points"], segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _interpolate(values: Float[np.ndarray, " points"], segment: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Return values at shares of segments, which are counted from the second point on."""
     return values[segment + 1] + share * (values[segment + 2] - values[segment + 1])
 

@@ -104,7 +104,7 @@ def symmetric_orbits(
             conditions = [_conditions(batch, lanes, symmetry, strobe, p, n, a) for strobe in strobes]
             roots = _solve(conditions[0], x, unit[lane], wrap, d)
             if name:
-                roots = _within(roots, edges[lane], d)
+                roots = _within_cells(roots, edges[lane], d)
                 roots = _with_errors(conditions[1], roots, unit[lane], wrap, d)
             for number in range(batch.count):
                 mine = select(roots, roots.converged & (lane == number))
@@ -272,7 +272,7 @@ def _solve(
     return _Roots(x, left, np.full(len(x), np.nan), residual < _CONVERGED)
 
 
-def _within(roots: _Roots, edges: Float[np.ndarray, "starts 2"], d: int) -> _Roots:
+def _within_cells(roots: _Roots, edges: Float[np.ndarray, "starts 2"], d: int) -> _Roots:
     """Return the roots with those alone converged whose parameter is in the cell of their lane."""
     value = roots.x[:, d]
     return roots._replace(converged=roots.converged & (value >= edges[:, 0]) & (value < edges[:, 1]))

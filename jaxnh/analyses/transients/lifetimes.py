@@ -56,7 +56,7 @@ def lifetimes(batch: LaneBatch, lanes: LaneRunner, region: Box, most: int) -> Li
     while len(left) and done < most:
         part, count = batch.take(left), min(max(_FIRST, done), _AT_ONCE, most - done)
         states = lanes.record(part.strobe(), count, (state, dict(part.p)))
-        out = ~inside(part, region, states)
+        out = ~is_inside(part, region, states)
         gone = out.any(axis=1)
         periods[left[gone]], escaped[left[gone]] = done + 1 + np.argmax(out[gone], axis=1), True
         state = jax.tree.map(lambda leaf, stays=~gone: leaf[stays, -1], states)
@@ -64,7 +64,7 @@ def lifetimes(batch: LaneBatch, lanes: LaneRunner, region: Box, most: int) -> Li
     return Lifetimes(periods, escaped)
 
 
-def inside(batch: LaneBatch, region: Box, states: State) -> Bool[np.ndarray, "motions points"]:
+def is_inside(batch: LaneBatch, region: Box, states: State) -> Bool[np.ndarray, "motions points"]:
     """Return whether states are in a region; those that are not finite are in none."""
     named = outputs(batch.flow, states, np.zeros(1))
     within = np.ones(np.shape(jax.tree.leaves(states)[0]), bool)

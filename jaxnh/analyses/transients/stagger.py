@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.random_starts import Box
 from jaxnh.analyses.section_points import on_constraints, points_after, points_at, states_at
-from jaxnh.analyses.transients.lifetimes import inside, lifetimes
+from jaxnh.analyses.transients.lifetimes import is_inside, lifetimes
 from jaxnh.analyses.transients.saddle import longest
 from jaxnh.systems.state import State
 
@@ -153,7 +153,7 @@ def _stagger(walk: _Walk, which: Int[np.ndarray, " some"], now: _Positions) -> N
     many = walk.batch.take(np.repeat(which, TRIES))
     moved = np.array(walk.lanes(on_constraints, (many.system,), (moved, dict(many.p)))[0])
     state, life = states_at(many, walk.lanes, moved), np.zeros(len(moved), int)
-    good = np.flatnonzero(inside(many, walk.region, select(state, np.arange(len(moved))[:, None]))[:, 0])
+    good = np.flatnonzero(is_inside(many, walk.region, select(state, np.arange(len(moved))[:, None]))[:, 0])
     if len(good):
         near = replace(many.take(good), start=select(state, good))
         most = int(walk.least[which].max()) + _FURTHER

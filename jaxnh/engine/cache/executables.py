@@ -159,7 +159,7 @@ def _constant(value: Any) -> Iterator[str]:
         yield "partial"
         yield from _constant((value.func, value.args, value.keywords))
     elif isinstance(value, FunctionType):
-        yield f"{_known(value)} {list(value.__code__.co_positions())}"
+        yield f"{_name_in_package(value)} {list(value.__code__.co_positions())}"
         yield from _constant((value.__defaults__, value.__kwdefaults__))
         for cell in value.__closure__ or ():
             yield from _constant(cell.cell_contents)
@@ -175,13 +175,13 @@ def _constant(value: Any) -> Iterator[str]:
 
 
 def _class(kind: type) -> str:
-    name = _known(kind)
+    name = _name_in_package(kind)
     if "<locals>" in name:
         raise _NoNameError(kind)
     return name
 
 
-def _known(thing: Any) -> str:
+def _name_in_package(thing: Any) -> str:
     """Name of a function or class of a package whose text is accounted for."""
     if thing.__module__.split(".")[0] not in _ACCOUNTED:
         raise _NoNameError(thing)

@@ -297,7 +297,7 @@ class LaneExecutor:
         for k, one in enumerate(values):
             where = np.flatnonzero(group == k)
             own = _with_shared(links, lambda part, one=one: part.at(one))
-            lanes = select(_without(family, call.lanes), where)
+            lanes = select(_without_family(family, call.lanes), where)
             results.append(self._run(call._replace(links=own, lanes=lanes)))
             order.append(where)
         back = np.argsort(np.concatenate(order))
@@ -315,7 +315,7 @@ class LaneExecutor:
 
     def _in_blocks(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
         """Lanes of several values of a family, block by block through one program."""
-        blocks = group_into_blocks(group, _without(family, call.lanes), call.tile)
+        blocks = group_into_blocks(group, _without_family(family, call.lanes), call.tile)
         links = _in_groups(call, evaluate_block, len(blocks.back) / len(blocks.groups))
         result = self._run(Call(links, (*blocks.lanes, blocks.groups), blocks.a_tile, call.spread))
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[blocks.back], result)
@@ -323,7 +323,7 @@ class LaneExecutor:
     def _in_threads(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
         """Lanes of several values of a family, each of which looks its own value's tree up."""
         order = np.argsort(group, kind="stable")  # threads side by side read the same entries of tables
-        lanes = *select(_without(family, call.lanes), order), group[order].astype(np.int32)
+        lanes = *select(_without_family(family, call.lanes), order), group[order].astype(np.int32)
         result = self._run(call._replace(links=_in_groups(call, evaluate_in_group, 1.0), lanes=lanes))
         return select(result, np.argsort(order))
 
@@ -378,7 +378,7 @@ def _own(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> Mapping[str, A
     return next(part for part in lanes if isinstance(part, Mapping) and set(family.names) <= set(part))
 
 
-def _without(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> tuple[Any, ...]:
+def _without_family(family: ParameterFamily[Any], lanes: tuple[Any, ...]) -> tuple[Any, ...]:
     """The arguments of lanes without the parameters of a family."""
     p = _own(family, lanes)
     rest = {name: values for name, values in p.items() if name not in family.names}

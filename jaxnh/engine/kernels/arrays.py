@@ -35,7 +35,7 @@ def rearranged(emitter: Emitter, rearrange: Rearrangement, values: Sequence[Valu
         flat = [element for value in values for element in value.flat]  # pyright: ignore[reportAttributeAccessIssue]
         return filled(moved.shape, kind, [flat[k] for k in moved.ravel()])
     if len(values) == 1:
-        return _taken(emitter, emitter.stored(values[0]), moved.ravel(), moved.shape)
+        return _take(emitter, emitter.stored(values[0]), moved.ravel(), moved.shape)
     memory, first = emitter.memory(moved.shape, kind), 0
     for value in values:
         count = size_of(value.shape)
@@ -51,7 +51,7 @@ def rearranged(emitter: Emitter, rearrange: Rearrangement, values: Sequence[Valu
     return memory
 
 
-def _taken(emitter: Emitter, source: Memory, places: np.ndarray, shape: tuple[int, ...]) -> Value:
+def _take(emitter: Emitter, source: Memory, places: np.ndarray, shape: tuple[int, ...]) -> Value:
     """Return elements of an array in memory at known places."""
     if in_registers(shape):
         return filled(shape, source.kind, [emitter.let(source.kind, f"{source.name}[{k}]") for k in places])
@@ -250,7 +250,7 @@ def gather(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Val
         for axis, place in zip(numbers.start_index_map, places[where], strict=True):
             starts[axis] = place
         sizes = [*p["slice_sizes"]]
-        inside = _inside(starts, value.shape, sizes) if drop else "true"
+        inside = _bounds_test(starts, value.shape, sizes) if drop else "true"
         given = [constant(np.asarray(s)) if is_known(s) else Scalars(np.array(s, object), "int") for s in starts]
         corner = _corner(emitter, given, value.shape, sizes)
         offset = [0] * len(value.shape)
@@ -262,7 +262,7 @@ def gather(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Val
     return [filled(shape, value.kind, elements)]
 
 
-def _inside(starts: Sequence[Any], shape: Sequence[int], sizes: Sequence[int]) -> str:
+def _bounds_test(starts: Sequence[Any], shape: Sequence[int], sizes: Sequence[int]) -> str:
     tests = []
     for start, length, size in zip(starts, shape, sizes, strict=True):
         if is_known(start):
@@ -303,7 +303,7 @@ def scatter(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list[Va
             starts[axis] = place
         for axis, step in zip(kept, window, strict=True):
             starts[axis] = starts[axis] + step if is_known(starts[axis]) else f"({starts[axis]} + {step})"
-        inside = _inside(starts, value.shape, [1] * len(value.shape))
+        inside = _bounds_test(starts, value.shape, [1] * len(value.shape))
         flat = " + ".join(f"{text_of(s, 'int')} * {stride}" for s, stride in zip(starts, strides, strict=True)) or "0"
         place = emitter.let("int", f"({inside}) ? {flat} : -1")
         if memory:

@@ -73,7 +73,7 @@ def eigenvector_rates(
         return jnp.concatenate(jax.jacfwd(function, (0, 1))(u, values), axis=1)
 
     def of_image(vector: Array) -> Array:
-        return slopes(_along(rate, vector, jnp.zeros_like(values)))
+        return slopes(_directional_derivative(rate, vector, jnp.zeros_like(values)))
 
     return EigenvectorRates(rate(u, values), slopes(rate), jax.vmap(of_image)(vectors))
 
@@ -84,14 +84,14 @@ def mixed_derivative(
     """The derivative of the rates along k directions of coordinates and parameters, one after the other."""
     rate, values = _rate_and_values(flow, u, 0.0, p, names)
     for k in range(ways.shape[0]):
-        rate = _along(rate, ways[k, : len(u)], ways[k, len(u) :])
+        rate = _directional_derivative(rate, ways[k, : len(u)], ways[k, len(u) :])
     return rate(u, values)
 
 
 _Rate = Callable[[Array, Array], Array]
 
 
-def _along(rate: _Rate, way: Array, of_values: Array) -> _Rate:
+def _directional_derivative(rate: _Rate, way: Array, of_values: Array) -> _Rate:
     """The derivative of a function of coordinates and parameters along a direction."""
     return lambda u, values: jax.jvp(rate, (u, values), (way, of_values))[1]
 

@@ -180,7 +180,7 @@ def correct(
         if not len(active):
             break
         linear = equations.solve(at)
-        step, scale = _across(unit, linear, None if across is None else across[active])
+        step, scale = _orthogonal_steps(unit, linear, None if across is None else across[active])
         size = norm(unit, step)
         known = last[active] <= tolerance
         with np.errstate(invalid="ignore"):
@@ -233,7 +233,9 @@ def norm(unit: Float[np.ndarray, " N"], one: Float[np.ndarray, "lanes N"]) -> Fl
     return np.sqrt(inner(unit, one, one))
 
 
-def _across(unit: np.ndarray, linear: LinearSolution, across: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _orthogonal_steps(
+    unit: np.ndarray, linear: LinearSolution, across: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Newton's steps orthogonal to directions, or to the curve, and the factor that makes `null` the direction."""
     normal = linear.null if across is None else across
     share = inner(unit, linear.null, normal)
