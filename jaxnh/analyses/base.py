@@ -176,6 +176,23 @@ def range_in_words(values: np.ndarray) -> str:
     return low if low == high else f"{low} to {high}"
 
 
+def table_of_kinds(
+    title: str,
+    data: xr.Dataset,
+    kinds: Sequence[str],
+    columns: Mapping[str, np.ndarray],
+    caption: str,
+    head: str = "kind",
+) -> Table:
+    """Return a table of how many lanes are of each kind, and the ranges of numbers (lanes,) of theirs, by head."""
+    kind, rows = data["kind"].to_numpy().ravel(), list[tuple[str, ...]]()
+    for number, word in enumerate(kinds):
+        if (of_kind := kind == number).any():
+            ranges = (range_in_words(values.ravel()[of_kind]) for values in columns.values())
+            rows.append((word, f"{np.count_nonzero(of_kind):,}", *ranges))
+    return Table(title, (head, "lanes", *columns), tuple(rows), caption, (0,))
+
+
 def kind_of_lanes(data: xr.Dataset) -> Int[np.ndarray, ...]:
     """Return the kind, which tells lanes apart where a level of a sweep leaves some out (`Analysis.classes`)."""
     return data["kind"].to_numpy().astype(int)

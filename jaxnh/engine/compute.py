@@ -118,16 +118,18 @@ def compute(
         level: which lanes are computed, and the values that the others are filled with.
         earlier: seconds that a stopped run has spent on the results in a journal.
     """
+    sweep = _DecidedSweep(experiment, axes, requested, job)
     if job.cutting.is_whole(batch[0]):
-        return [_combine_tiles(experiment, axes, requested, job, piece, lanes, gather, earlier) for piece in batch]
+        return [_combine_tiles(sweep, piece, lanes, gather, earlier) for piece in batch]
     began, before = time.perf_counter() - earlier, seconds_spent(lanes, 0.0)
     line = batch[0].names != job.cutting.independent
     places = tuple(np.concatenate(parts) for parts in zip(*map(places_of, batch), strict=True))
     if level is not None:
         wanted = np.concatenate([level.wanted_in(piece) for piece in batch])
         places = tuple(place[wanted] for place in places)
-    args = experiment, axes, requested, job, batch[0].names, places, lanes
-    groups = _by_class(*args) if job.plan.step_classes and not line else _groups(*args, line=line)
+    by_class = job.plan.step_classes and not line
+    args = sweep, batch[0].names, places, lanes
+    groups = _by_class(*args) if by_class else _groups(*args, line=line)
     after = seconds_spent(lanes, time.perf_counter() - began)
     done, first = [], 0
     for piece in batch:
@@ -151,11 +153,17 @@ def compute(
     return done
 
 
+class _DecidedSweep(NamedTuple):
+    """A sweep, or a level of it, with all that has been decided for it."""
+
+    experiment: Experiment
+    axes: Sequence[Axis]
+    requested: Requested
+    job: Job
+
+
 def _groups(
-    experiment: Experiment,
-    axes: Sequence[Axis],
-    requested: Requested,
-    job: Job,
+    sweep: _DecidedSweep,
     names: Sequence[str],
     places: Sequence[np.ndarray],
     lanes: LaneExecutor,
@@ -172,6 +180,7 @@ def _groups(
     """
     if not len(places[0]):
         return {}
+    experiment, axes, requested, job = sweep
     if line:
         at = (points_along if axes[0].kind == "shared" else points)(experiment, axes, places)
     else:
@@ -193,23 +202,17 @@ def _groups(
 
 
 def _by_class(
-    experiment: Experiment,
-    axes: Sequence[Axis],
-    requested: Requested,
-    job: Job,
-    names: Sequence[str],
-    places: Sequence[np.ndarray],
-    lanes: LaneExecutor,
+    sweep: _DecidedSweep, names: Sequence[str], places: Sequence[np.ndarray], lanes: LaneExecutor
 ) -> dict[str, xr.Dataset]:
     """The same of lanes that differ in their class of steps: those of each in calls of their own."""
-    every, shape = classes_of(job.plan.step_classes), [len(axis.values) for axis in experiment.axes]
+    job, shape = sweep.job, [len(axis.values) for axis in sweep.experiment.axes]
+    every = classes_of(job.plan.step_classes)
     classes = every[np.ravel_multi_index([place * job.cutting.step for place in places], shape)]
     order, parts = list[np.ndarray](), list[dict[str, xr.Dataset]]()
     for halvings in np.unique(classes).tolist():
         order.append(np.flatnonzero(classes == halvings))
         some, count = [place[order[-1]] for place in places], lanes_together(every, halvings)
-        args = experiment, axes, requested, job, names, some, lanes
-        parts.append(_groups(*args, line=False, halvings=halvings, count=count))
+        parts.append(_groups(sweep, names, some, lanes, line=False, halvings=halvings, count=count))
     if len(parts) < 2:
         return parts[0] if parts else {}
     back = np.argsort(np.concatenate(order))
@@ -217,16 +220,10 @@ def _by_class(
 
 
 def _combine_tiles(
-    experiment: Experiment,
-    axes: Sequence[Axis],
-    requested: Requested,
-    job: Job,
-    piece: Piece,
-    lanes: LaneExecutor,
-    gather: Callable[[str], xr.Dataset],
-    earlier: float,
+    sweep: _DecidedSweep, piece: Piece, lanes: LaneExecutor, gather: Callable[[str], xr.Dataset], earlier: float
 ) -> ComputedPiece:
     """Compute what an analysis makes of all its tiles."""
+    experiment, axes, requested, job = sweep
     began, before = time.perf_counter() - earlier, seconds_spent(lanes, 0.0)
     [(analysis, options)] = [(a, o) for a, o in requested if a.name == piece.names[0]]
     assert analysis.whole is not None

@@ -104,15 +104,7 @@ class Kicks:
     def solvers(self, flow: Any, precision: str = "float64") -> tuple[Solver, ...]:
         return tuple(SPLITTINGS.values())
 
-    def strobe(
-        self,
-        flow: Any,
-        solver: Any,
-        steps: int,
-        span: tuple[float, float],
-        *,
-        compensated: bool,
-    ) -> ReturnMap:
+    def strobe(self, flow: Any, solver: Any, steps: int, span: tuple[float, float], *, compensated: bool) -> ReturnMap:
         if solver.processed and span == (0.0, flow.period):
             table = whole_period(flow, solver, steps, smallest=_SMALLEST_TABLE)
         elif solver.processed:
@@ -126,14 +118,7 @@ class Kicks:
         return KickStrobe(flow.tabulated(), *table)
 
     def parts(
-        self,
-        flow: Any,
-        solver: Any,
-        each: int,
-        grid: np.ndarray,
-        ends: np.ndarray,
-        *,
-        compensated: bool,
+        self, flow: Any, solver: Any, each: int, grid: np.ndarray, ends: np.ndarray, *, compensated: bool
     ) -> ReturnMap:
         if solver.processed:
             table = processed_table(flow, solver, each, (ends[:-1], ends[1:]), smallest=_SMALLEST_TABLE // len(grid))
@@ -175,14 +160,7 @@ class StepScheme:
         return unit_step(flow, _check_solver(solver))
 
     def parts(
-        self,
-        flow: Any,
-        solver: Any,
-        each: int,
-        grid: np.ndarray,
-        ends: np.ndarray,
-        *,
-        compensated: bool,
+        self, flow: Any, solver: Any, each: int, grid: np.ndarray, ends: np.ndarray, *, compensated: bool
     ) -> ReturnMap:
         return _map_on_grid(flow, solver, grid)
 

@@ -150,9 +150,7 @@ class GeneralStrobe(ReturnMap):
         def field(values: Sequence[Any], y: Moving) -> Moving:
             return rates(list(values), self.system, own, y, by_p)
 
-        def along_tangents(
-            change: Callable[[Flow, Any, State, Any, Parameters], State],
-        ) -> Callable[..., Moving]:
+        def along_tangents(change: Callable[[Flow, Any, State, Any, Parameters], State]) -> Callable[..., Moving]:
             """Something done to states at a time, with what it does to tangents; it may read another state."""
 
             @traced_once
@@ -242,13 +240,7 @@ def linearise(
 
 
 def linearise_stacked(
-    function: Callable[[Any, Any], Any],
-    y: Any,
-    own: Mapping[str, Any],
-    moved: Any,
-    by_p: Any,
-    *,
-    in_turn: bool = False,
+    function: Callable[[Any, Any], Any], y: Any, own: Mapping[str, Any], moved: Any, by_p: Any, *, in_turn: bool = False
 ) -> tuple[Any, Any]:
     """The same along tangents whose numbers are arrays (tangents,), as those of own are where there are some.
 

@@ -103,10 +103,7 @@ class NystromStrobe(GeneralStrobe):
         return form
 
     def _march_on(
-        self,
-        force: Callable[[Sequence[Any], Carried], Carried],
-        project: Callable[[Any, Moving], Moving],
-        y: Moving,
+        self, force: Callable[[Sequence[Any], Carried], Carried], project: Callable[[Any, Moving], Moving], y: Moving
     ) -> Moving:
         """All steps, each projected."""
         halves, grid, values = self._form.halves, jnp.asarray(self.grid), [jnp.asarray(v) for v in self.values]

@@ -283,13 +283,7 @@ class EventPassage:
     # ---- motions that are held
 
     def _hold(
-        self,
-        end: Reading,
-        after: PiecewisePoint,
-        before: Heights,
-        crossed: Heights,
-        arrival: Arrival,
-        jumps: Array,
+        self, end: Reading, after: PiecewisePoint, before: Heights, crossed: Heights, arrival: Arrival, jumps: Array
     ) -> tuple[Heights, Heights]:
         """Sides after an event, 0 of what holds the motion then, and which walls and surfaces have released it there.
 

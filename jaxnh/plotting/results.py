@@ -6,11 +6,11 @@ The axes of the sweep are named by the attribute `axes` of the result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -195,7 +195,7 @@ def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> 
             together = {label: data if k == 0 else other.get(name) for k, (label, other) in enumerate(more.items())}
             if more and kind_of(data) in KINDS and not other_axes(data):
                 there = {label: _choose_coordinates(one, choice) for label, one in together.items() if one is not None}
-                draw = partial(_draw_overlay, name, kind_of(data), there)
+                draw = _of_group(name)(partial(draw_overlay, kind_of(data), there))
                 panels.append(Panel(draw, PANELS[kind_of(data)].height, True))
                 continue
             new_panels, said = _panels(name, data, groups, choice)
@@ -252,7 +252,9 @@ def _of_lanes(
     lanes = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
     if choice.colour:
         colours = colouring(choice.colour, data, groups.values())
-        panels = [Panel(partial(_draw_lanes, name, data, colours=colours, lanes=lanes, **over), _CHART_HEIGHT, True)]
+        panels = [
+            Panel(_of_group(name)(partial(draw_lanes, data, colours=colours, lanes=lanes, **over)), _CHART_HEIGHT, True)
+        ]
     else:
         panels = [Panel(partial(_draw, name, kind, data, lane=lane, **over), kind.height, False) for lane in lanes]
     points = "values" if len(axes) == 1 else "points"
@@ -280,7 +282,7 @@ def _over_an_axis(
             assert kind.chart is not None
             over = _of_kind(kind.over, groups)
             over += _of_kind("bifurcation_curves", groups) if kind.over == "cascade" else []
-            draw = partial(_draw_chart, name, kind.chart, data, over)
+            draw = _of_group(name)(partial(kind.chart, data, over=over))
             return [Panel(draw, _CHART_HEIGHT, True)], []
         if kind is PANELS["cascade"] and len(others) == 1 and any(map(_has_chart, groups.values())):
             return [], []  # it is drawn over the charts
@@ -324,21 +326,6 @@ def _draw(name: str, kind: Kind, data: xr.Dataset, ax: Axes, **options: object) 
         if row := data.attrs.get("row"):
             ax.text(0.99, 0.97, str(row), fontsize=8, transform=ax.transAxes, ha="right", va="top")
         return ax
-
-
-def _draw_lanes(name: str, data: xr.Dataset, ax: Axes, **options: Any) -> Axes:
-    with _of_group(name):
-        return draw_lanes(data, ax, **options)
-
-
-def _draw_overlay(name: str, kind: str, results: Mapping[str, xr.Dataset], ax: Axes) -> Axes:
-    with _of_group(name):
-        return draw_overlay(kind, results, ax)
-
-
-def _draw_chart(name: str, chart: Callable[..., Axes], data: xr.Dataset, over: Sequence[xr.Dataset], ax: Axes) -> Axes:
-    with _of_group(name):
-        return chart(data, ax, over=over)
 
 
 @contextmanager

@@ -5,13 +5,7 @@ embedded pairs with steps of a lane's own, Rodas5P for stiff flows among them.
 from jaxnh.solvers.adaptive import ADAPTIVE, AdaptiveMethod
 from jaxnh.solvers.compositions import SPLITTINGS
 from jaxnh.solvers.dormand_prince import dopri5, dopri8
-from jaxnh.solvers.isokinetic import (
-    IsokineticSplitting,
-    Schedule,
-    exact_half_turn,
-    half_turn,
-    kick,
-)
+from jaxnh.solvers.isokinetic import IsokineticSplitting, Schedule, exact_half_turn, half_turn, kick
 from jaxnh.solvers.iterations import Iteration, iteration
 from jaxnh.solvers.nystrom import NYSTROM, Nystrom, nystrom8
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta

@@ -11,12 +11,7 @@ from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
 
 
 def _solver_from_rows(
-    rows: Sequence[Sequence[float]],
-    b: Sequence[float],
-    embedded: Sequence[float],
-    order: int,
-    name: str,
-    source: str,
+    rows: Sequence[Sequence[float]], b: Sequence[float], embedded: Sequence[float], order: int, name: str, source: str
 ) -> WrittenOutRungeKutta:
     """The solver of rows of a tableau from the second stage on, and the weights of its two solutions."""
     return WrittenOutRungeKutta(

@@ -151,11 +151,7 @@ def _is_literal(value: Any) -> bool:
     return (
         isinstance(value, bool | int | float | complex | str | None)
         and value == value
-        and value
-        not in (
-            float("inf"),
-            -float("inf"),
-        )
+        and value not in (float("inf"), -float("inf"))
     )
 
 

@@ -29,13 +29,7 @@ from jaxnh.systems.explicit import (
 )
 from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, pairs, status
 from jaxnh.systems.impulses import LARGEST_DRIFT, project_velocities
-from jaxnh.systems.jourdain import (
-    Equations,
-    accelerations,
-    constraint_functions,
-    constraint_slopes,
-    matrices,
-)
+from jaxnh.systems.jourdain import Equations, accelerations, constraint_functions, constraint_slopes, matrices
 from jaxnh.systems.motion import Motion, MotionChart, ReducedMotion
 from jaxnh.systems.quasi_velocities import QuasiVelocities, equations_of, quasi_velocities_of
 from jaxnh.systems.state import Number, Vector

@@ -19,12 +19,7 @@ from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition
 from jaxnh.systems.flow import NOT_FINITE, STATUS, UNSAID, Labels, Output, Parameters, status
-from jaxnh.systems.impulses import (
-    LARGEST_DRIFT,
-    constrained_velocities,
-    project_velocities,
-    reflected_velocities,
-)
+from jaxnh.systems.impulses import LARGEST_DRIFT, constrained_velocities, project_velocities, reflected_velocities
 from jaxnh.systems.jourdain import Equations, accelerations, constraint_slopes
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.motion import Motion

@@ -110,7 +110,7 @@ def _search(
         representatives = batch.take(seeds)
         judged = classify(representatives, lanes, select(records, seeds), limit, longest)
         largest, before = np.nanmax(np.abs(records.size), axis=0, initial=0.0), len(assignment.point)
-        assignment, place = _add_attractors(representatives, lanes, assignment, judged, point[seeds], largest)
+        assignment, place = _add_attractors(batch.chart, assignment, judged, point[seeds], largest)
         settled = records.known[seeds] == SETTLED
         assignment.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
@@ -243,8 +243,7 @@ def _representatives(
 
 
 def _add_attractors(
-    batch: LaneBatch,
-    lanes: LaneRunner,
+    chart: Chart,
     assignment: Assignment,
     judged: Attractors,
     point: Int[np.ndarray, " reps"],
@@ -258,21 +257,16 @@ def _add_attractors(
         if judged.kind[k] == NONE:
             continue
         target: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
-        lane = batch.take(slice(k, k + 1))
-        if before:
-            assert assignment.attractors is not None
-            same = _match_attractors(lane, lanes, target, assignment.attractors, largest, assignment.point == point[k])
+        known = [(0, assignment.attractors, assignment.point)] if before else []
+        known += [(before, select(judged, np.array(new)), point[new])] if new else []
+        for first, others, at in known:
+            same = _match_attractors(chart, target, others, largest, at == point[k])
             if np.any(same):
-                place[k] = int(np.argmax(same))
-                continue
-        if new:
-            others = select(judged, np.array(new))
-            same = _match_attractors(lane, lanes, target, others, largest, point[new] == point[k])
-            if np.any(same):
-                place[k] = before + int(np.argmax(same))
-                continue
-        place[k] = before + len(new)
-        new.append(k)
+                place[k] = first + int(np.argmax(same))
+                break
+        else:
+            place[k] = before + len(new)
+            new.append(k)
     added = select(judged, np.array(new, int))
     every = added if new else None
     if assignment.attractors is not None:
@@ -290,8 +284,7 @@ def join_attractors(parts: Sequence[Attractors]) -> Attractors:
 
 
 def _match_attractors(
-    batch: LaneBatch,
-    lanes: LaneRunner,
+    chart: Chart,
     one: Attractors,
     others: Attractors,
     largest: Float[np.ndarray, " d"],
@@ -299,10 +292,10 @@ def _match_attractors(
 ) -> Bool[np.ndarray, " others"]:
     """Return whether each attractor at the same point is the given one: orbits share a point, others fill one set."""
     if one.kind in (PERIODIC, EQUILIBRIUM):
-        return same_orbits(batch.chart, one, others, largest) & same_point
+        return same_orbits(chart, one, others, largest) & same_point
     alike = (others.kind == one.kind) & same_point
     for k in np.flatnonzero(alike):
-        alike[k] = same_set(batch.chart, one, jax.tree.map(lambda leaf, k=k: leaf[k], others))
+        alike[k] = same_set(chart, one, jax.tree.map(lambda leaf, k=k: leaf[k], others))
     return alike
 
 

@@ -24,7 +24,7 @@ from jaxnh.analyses.base import (
     as_variable,
     flag,
     kind_of_lanes,
-    range_in_words,
+    table_of_kinds,
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
@@ -198,20 +198,12 @@ def _exponents(batch: LaneBatch, motions: Motions, vectors: CovariantVectors, se
 
 def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     """Return how many lanes are of each kind, with the ranges of their largest exponents and smallest angles."""
-    kind, largest = data["kind"].to_numpy().ravel(), data["exponents"].isel(exponent=0).to_numpy().ravel()
-    smallest = data["angle_min"].transpose(..., "split").to_numpy().min(axis=-1).ravel()
-    rows = tuple(
-        (
-            word,
-            f"{np.count_nonzero(kind == k):,}",
-            range_in_words(largest[kind == k]),
-            range_in_words(smallest[kind == k]),
-        )
-        for k, word in enumerate(KINDS)
-        if np.any(kind == k)
-    )
-    heads = ("kind", "lanes", "largest exponent", "smallest angle (rad)")
-    return Table("Covariant Lyapunov vectors", heads, rows, f"{data.attrs.get('strobes', '')} points a lane", (0,))
+    columns = {
+        "largest exponent": data["exponents"].isel(exponent=0).to_numpy(),
+        "smallest angle (rad)": data["angle_min"].transpose(..., "split").to_numpy().min(axis=-1),
+    }
+    caption = f"{data.attrs.get('strobes', '')} points a lane"
+    return table_of_kinds("Covariant Lyapunov vectors", data, KINDS, columns, caption)
 
 
 def price(options: CovariantOptions, batch: LaneBatch) -> Price:

@@ -129,14 +129,7 @@ def split_stack(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:
 
 
 def average(
-    lanes: LaneRunner,
-    strobes: Maps,
-    growth: TangentState,
-    p: Parameters,
-    count: int,
-    begun: float = 0.0,
-    quadrature: Quadrature | ParameterFamily[Quadrature] | None = None,
-    tile: int | None = None,
+    lanes: LaneRunner, strobes: Maps, growth: TangentState, p: Parameters, count: int, begun: float = 0.0
 ) -> tuple[TangentState, Float[np.ndarray, "lanes sums"]]:
     """Advance lanes by `count` periods; return growth a period of tangents, of volume, and of volume by quadrature.
 
@@ -144,7 +137,7 @@ def average(
     """
     if not count:
         return growth, np.full((len(growth.volume), len(growth.logs) + 2), np.nan)
-    [(growth, grown)] = averages_in_turn(lanes, strobes, growth, p, count, (begun,), quadrature, tile)
+    [(growth, grown)] = averages_in_turn(lanes, strobes, growth, p, count, (begun,))
     return growth, grown
 
 

@@ -41,7 +41,7 @@ from jaxnh.analyses.base import (
     as_variable,
     flag,
     kind_of_lanes,
-    range_in_words,
+    table_of_kinds,
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
@@ -275,16 +275,10 @@ def _variables(
 
 def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     """Return how many lanes are of each kind, and the range of their sums, distances and overlaps."""
-    kind = data["kind"].to_numpy().ravel()
-    columns = [data[name].to_numpy().ravel() for name in ("exponent_sum", "distance", "overlap")]
-    rows = []
-    for number, word in enumerate(KINDS):
-        of_kind = kind == number
-        if of_kind.any():
-            ranges = (range_in_words(values[of_kind]) for values in columns)
-            rows.append((word, f"{np.count_nonzero(of_kind):,}", *ranges))
-    heads = ("kind", "lanes", "sum of exponents", "distance", "overlap")
-    return Table("Attractors and their images", heads, tuple(rows), f"reversal: {data.attrs.get('reversal', '')}", (0,))
+    heads = {"sum of exponents": "exponent_sum", "distance": "distance", "overlap": "overlap"}
+    columns = {head: data[name].to_numpy() for head, name in heads.items()}
+    caption = f"reversal: {data.attrs.get('reversal', '')}"
+    return table_of_kinds("Attractors and their images", data, KINDS, columns, caption)
 
 
 def price(options: ReversalOptions, batch: LaneBatch) -> Price:

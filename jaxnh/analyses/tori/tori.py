@@ -25,7 +25,7 @@ from jaxnh.analyses.base import (
     as_variable,
     flag,
     number_variable,
-    range_in_words,
+    table_of_kinds,
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
@@ -215,21 +215,10 @@ def _kind(growth: Float[np.ndarray, " k-1"], error: Float[np.ndarray, " k-1"]) -
 
 def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     """Return how many lanes have curves of each kind, with the ranges of their numbers."""
-    kind = data["kind"].to_numpy().ravel()
-    rows = tuple(
-        (
-            word,
-            f"{np.count_nonzero(kind == k):,}",
-            *(range_in_words(data[name].to_numpy().ravel()[kind == k]) for name in ("rotation", "rotation_error")),
-            range_in_words(np.where(kind == k, data["harmonics"].to_numpy().ravel(), 0)[kind == k].astype(float)),
-            range_in_words(data["decay"].to_numpy().ravel()[kind == k]),
-        )
-        for k, word in enumerate(KINDS)
-        if np.any(kind == k)
-    )
-    heads = ("curve", "lanes", "rotation number", "error", "harmonics", "decay (rad)")
+    heads = {"rotation number": "rotation", "error": "rotation_error", "harmonics": "harmonics", "decay (rad)": "decay"}
+    columns = {head: data[name].to_numpy().astype(float) for head, name in heads.items()}
     caption = f"up to {data.attrs.get('max_harmonics', '')} harmonics"
-    return Table("Invariant curves", heads, rows, caption, (0,))
+    return table_of_kinds("Invariant curves", data, KINDS, columns, caption, "curve")
 
 
 ANALYSIS = Analysis(

@@ -114,19 +114,14 @@ class SampleMaps:
         return map_of
 
     def by_flow(
-        self,
-        function: Callable[..., Any],
-        shared: Callable[[int], tuple[Any, ...]],
-        samples: Samples,
-        periods: int,
-        static: tuple[Any, ...] = (),
+        self, function: Callable[..., Any], shared: Callable[[int], tuple[Any, ...]], samples: Samples, periods: int
     ) -> Any:
-        """function(*shared, state, p, *static) of every sample, with what its own flow shares; periods a lane."""
+        """function(*shared, state, p) of every sample, with what its own flow shares; periods a lane."""
         whole: Any = None
         for k in np.unique(samples.row):
             members = np.flatnonzero(samples.row == k)
             part = samples.take_lanes(members)
-            values = self._lanes(function, shared(int(k)), (part.states, part.p), periods=periods, static=static)
+            values = self._lanes(function, shared(int(k)), (part.states, part.p), periods=periods)
             if len(members) == len(samples.row):
                 return values
             if whole is None:

@@ -183,9 +183,9 @@ def filled(shape: tuple[int, ...], kind: str, elements: Sequence[Any]) -> Scalar
     return Scalars(array.reshape(shape), kind)
 
 
-def result_kind(equation: Any, number: int = 0) -> str:
-    """Return the type in C of a result of an equation."""
-    return kind_of(equation.outvars[number].aval.dtype)
+def result_kind(equation: Any) -> str:
+    """Return the type in C of the first result of an equation."""
+    return kind_of(equation.outvars[0].aval.dtype)
 
 
 def place_at(emitter: Emitter, numbers: np.ndarray, index: str) -> str:
