@@ -211,8 +211,8 @@ def _by_class(
     order, parts = list[np.ndarray](), list[dict[str, xr.Dataset]]()
     for halvings in np.unique(classes).tolist():
         order.append(np.flatnonzero(classes == halvings))
-        some, count = [place[order[-1]] for place in places], lanes_together(every, halvings)
-        parts.append(_groups(sweep, names, some, lanes, line=False, halvings=halvings, count=count))
+        of_class, count = [place[order[-1]] for place in places], lanes_together(every, halvings)
+        parts.append(_groups(sweep, names, of_class, lanes, line=False, halvings=halvings, count=count))
     if len(parts) < 2:
         return parts[0] if parts else {}
     back = np.argsort(np.concatenate(order))

@@ -166,15 +166,15 @@ def _survey_late(
 ) -> Survey:
     """Survey again the lanes whose orbits are not known yet."""
     survey = jax.tree.map(np.copy, seen.survey)
-    open_, ends = np.arange(batch.count), seen.ends
+    active, ends = np.arange(batch.count), seen.ends
     for timing in late:
-        left = np.flatnonzero((survey.period[open_] == 0) & ~survey.failed[open_])
+        left = np.flatnonzero((survey.period[active] == 0) & ~survey.failed[active])
         if not len(left):
             break
-        open_ = open_[left]
-        part, ends = _survey_at(batch.take(open_), lanes, ends[left], timing, label, least, only_doublings, tile)
+        active = active[left]
+        part, ends = _survey_at(batch.take(active), lanes, ends[left], timing, label, least, only_doublings, tile)
         for whole, new in zip(survey, part, strict=True):
-            whole[open_] = new
+            whole[active] = new
     return survey
 
 

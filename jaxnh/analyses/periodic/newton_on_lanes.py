@@ -91,14 +91,14 @@ def least_period(
     """
     period = np.array(np.broadcast_to(n, len(u)))
     factor = _prime_factors(period, np.ones_like(period))
-    while len(open_ := np.flatnonzero(factor)):
-        open_ = open_[np.argsort(period[open_] // factor[open_], kind="stable")]
-        d = (period[open_] // factor[open_]).astype(np.int32)
-        image = images(lanes, strobe, select(p, open_), d)(u[open_], np.arange(len(open_))).image
-        residual = np.max(np.abs(strobe.chart.wrap(image - u[open_]) / size[open_]), axis=1)
+    while len(active := np.flatnonzero(factor)):
+        active = active[np.argsort(period[active] // factor[active], kind="stable")]
+        d = (period[active] // factor[active]).astype(np.int32)
+        image = images(lanes, strobe, select(p, active), d)(u[active], np.arange(len(active))).image
+        residual = np.max(np.abs(strobe.chart.wrap(image - u[active]) / size[active]), axis=1)
         back = residual < CONVERGED
-        period[open_[back]] //= factor[open_[back]]
-        factor[open_] = _prime_factors(period[open_], factor[open_] - back)
+        period[active[back]] //= factor[active[back]]
+        factor[active] = _prime_factors(period[active], factor[active] - back)
     return period
 
 

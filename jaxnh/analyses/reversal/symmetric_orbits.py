@@ -263,8 +263,8 @@ def _solve(
         scaled = slope * unit[active][:, None, :] / size[:, :, None]
         step = -np.einsum("nij,nj->ni", np.linalg.pinv(scaled, rcond=1e-10), missing / size)
         left[active] = np.abs(step) * unit[active]
-        open_ = before >= _CONVERGED
-        active, step = active[open_], step[open_]
+        unsolved = before >= _CONVERGED
+        active, step = active[unsolved], step[unsolved]
         length = np.max(np.abs(step), axis=1)
         step *= np.where(length > _LARGEST_STEP, _LARGEST_STEP / length, 1.0)[:, None]
         x[active] += step * unit[active]

@@ -72,10 +72,10 @@ def refine_reference(
     while 1.5 * steps * solver.stages <= MOST_KICKS and 1.5 * steps <= solver.most_steps(MOST_KICKS) + 1:
         hopeless = steps * solver.stages > _HOPELESS and not maps.scheme.smooth  # fast smooth motion still converges
         patience = np.where(gaps > _ROUGH, _PATIENT if hopeless else np.inf, _STALLED)
-        open_ = np.flatnonzero((gaps > _ROUNDING) & (stalled < patience))
+        active = np.flatnonzero((gaps > _ROUNDING) & (stalled < patience))
         # One small distance may be chance, as where the corner of a field lies in a step: all of them are not.
         worst = largest_at(gaps)
-        if not len(open_) or gaps[worst] <= near:
+        if not len(active) or gaps[worst] <= near:
             break
         kicks = steps * solver.stages
         if target and kicks > _SUSPECT and gaps[worst] > _ROUGH and not maps.scheme.smooth:
@@ -88,12 +88,12 @@ def refine_reference(
                 unresolved = True
                 break
         steps = steps * 3 // 2
-        finer = maps.image(maps.of(solver, steps, compensated=True), samples.take_lanes(open_))
-        gaps[open_] = gaps_between(differences([leaf[open_] for leaf in finest], finer), sizes)
-        stalled[open_] = np.where(gaps[open_] < 0.5 * least[open_], 0, stalled[open_] + 1)
+        finer = maps.image(maps.of(solver, steps, compensated=True), samples.take_lanes(active))
+        gaps[active] = gaps_between(differences([leaf[active] for leaf in finest], finer), sizes)
+        stalled[active] = np.where(gaps[active] < 0.5 * least[active], 0, stalled[active] + 1)
         least = np.minimum(least, gaps)
         for leaf, new in zip(finest, finer, strict=True):
-            leaf[open_] = new
+            leaf[active] = new
         maps.tell(f"with {steps * solver.stages:,} kicks a period, references differ by {gaps[largest_at(gaps)]:.1e}")
     return Reference(finest, gaps, steps * solver.stages, unresolved)
 

@@ -225,9 +225,9 @@ class LaneExecutor:
             lanes: states and parameters.
         """
         (state, p), parts = lanes, list[Any]()
-        for some in _counts(count):
-            met = self(record, (maps, np.int32(some)), (state, p), periods=some, tile=tile, static=(_ROOM,))
-            parts.append(jax.tree.map(lambda component, some=some: component[:, :some], met))
+        for n in _counts(count):
+            states = self(record, (maps, np.int32(n)), (state, p), periods=n, tile=tile, static=(_ROOM,))
+            parts.append(jax.tree.map(lambda component, n=n: component[:, :n], states))
             if len(parts) < len(_counts(count)):
                 state = jax.tree.map(lambda component: component[:, -1], parts[-1])
         return jax.tree.map(lambda *components: np.concatenate(components, axis=1), *parts)
@@ -250,9 +250,9 @@ class LaneExecutor:
             lanes: states and parameters.
         """
         links = list[Link]()
-        for some in _counts(count):
-            links.append(Link(record, (maps, np.int32(some)), (_ROOM,), some, lambda states: (states, ())))
-            links.append(Link(_observe, shared, (some, function), keep=lambda result: (result[0], result)))
+        for n in _counts(count):
+            links.append(Link(record, (maps, np.int32(n)), (_ROOM,), n, lambda states: (states, ())))
+            links.append(Link(_observe, shared, (n, function), keep=lambda result: (result[0], result)))
         results = self.chain(links, lanes, tile=tile)[1::2]
         end, values = results[-1]
         if len(results) > 1:
@@ -294,9 +294,9 @@ class LaneExecutor:
         for each in families:
             each.prepare(values)
         results, order = [], []
-        for k, one in enumerate(values):
+        for k, value in enumerate(values):
             where = np.flatnonzero(group == k)
-            own = _with_shared(links, lambda part, one=one: part.at(one))
+            own = _with_shared(links, lambda part, value=value: part.at(value))
             lanes = select(_without_family(family, call.lanes), where)
             results.append(self._run(call._replace(links=own, lanes=lanes)))
             order.append(where)
