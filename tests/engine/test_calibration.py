@@ -106,10 +106,25 @@ def test_target_out_of_reach(lanes):
     assert UNIT < smallest < 1e-11
 
 
-def test_overflow_has_no_estimate(lanes):
+@pytest.fixture(scope="module")
+def ten_lanes(lanes):
+    return calibrated(SYSTEMS["constant"], START, np.linspace(5, 6, 10), lanes)
+
+
+def test_rounding_is_measured_as_far_as_it_decides(ten_lanes):
+    """One table of plain sums shows that the error of coarse steps is none of rounding; that of fine ones takes all."""
+    coarse, fine = (SOLVERS["tsit5"], 100), (SPLITTINGS["sofroniou_spaletta10"], 250)
+    with mock.patch.object(ten_lanes._maps, "of", wraps=ten_lanes._maps.of) as maps:
+        error = ten_lanes.error(*coarse)
+        assert maps.call_count == 1 + 2
+        assert ten_lanes.error(*fine) < 1e-3 * error
+        assert maps.call_count == 2 + 2 * 4
+    assert ten_lanes.error(*coarse) == error
+
+
+def test_overflow_has_no_estimate(ten_lanes):
     """Two Runge–Kutta steps a period overflow for large b: an infinite error, never a small one."""
-    calibration = calibrated(SYSTEMS["constant"], START, np.linspace(5, 6, 10), lanes)
-    assert calibration.error(SOLVERS["tsit5"], 2) > 1
+    assert ten_lanes.error(SOLVERS["tsit5"], 2) > 1
 
 
 @pytest.mark.parametrize("name", ["constant", "disturbed"])

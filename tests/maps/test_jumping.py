@@ -396,7 +396,10 @@ def chua_exactly(y, end):
     while True:
         at = lambda s: (expm(linear(zone) * (s - t)) @ np.append(y, 1.0))[:3]  # noqa: B023, E731
         times = np.linspace(t, end, 1001)[1:]
-        x = np.array([at(s)[0] for s in times])
+        step, path = expm(linear(zone) * (end - t) / 1000), [np.append(y, 1.0)]
+        for _ in times:
+            path.append(step @ path[-1])
+        x = np.array(path)[1:, 0]
         passed = [(i, wall) for wall in (-1.0, 1.0) for i in np.flatnonzero((x[1:] - wall) * (x[:-1] - wall) < 0)[:1]]
         if not passed:
             return at(end)

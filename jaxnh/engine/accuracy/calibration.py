@@ -13,7 +13,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding, order_on_motion
-from jaxnh.engine.accuracy.reference import MOST_KICKS, REFERENCE_STEPS, refine_reference, rounding_of_sums
+from jaxnh.engine.accuracy.reference import (
+    MOST_KICKS,
+    NO_MATTER,
+    REFERENCE_STEPS,
+    refine_reference,
+    roundings_of_sums,
+)
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, differences, gaps_between
 from jaxnh.engine.accuracy.samples import take_samples
 from jaxnh.engine.accuracy.sizes import sizes_by_name
@@ -217,13 +223,18 @@ class Calibration:
         """Measure the reference."""
         self._reference = refine_reference(self._maps, self._samples, self._sizes, self._target, self._largest_at)
         self.floor = self._largest(self._reference.known)
-        self._rounding: float | None = None
+        args = self._maps, self._samples, self._sizes, self._reference.kicks
+        self._tables, self._rounding = roundings_of_sums(*args, self._largest), -math.inf
 
-    def _rounding_of_sums(self) -> float:
-        """The rounding of plain sums, measured when it is first asked for: not where no map meets the target."""
-        if self._rounding is None:
-            args = self._maps, self._samples, self._sizes, self._reference.kicks
-            self._rounding = rounding_of_sums(*args, self._largest, self._target)
+    def _rounding_of_sums(self, error: float) -> float:
+        """The rounding of plain sums in the worst of a few tables, of so many as it takes to compare with an error.
+
+        Measured when it is first asked for: not where no map meets the target.
+        """
+        while not 0.0 <= self._rounding < NO_MATTER * max(error, self._target):
+            if (rounding := next(self._tables, None)) is None:
+                break
+            self._rounding = max(self._rounding, rounding)
         return self._rounding
 
     def _split_unit(self) -> bool:
@@ -303,9 +314,10 @@ class Calibration:
         def strobe(row: int) -> ReturnMap:
             return in_precision(maps(row), self._precision)
 
-        chance = 0.0 if compensated else self._rounding_of_sums()
         apart = differences(self._maps.image(strobe, self._samples), self._reference.image)
-        return np.maximum(SAFETY * np.maximum(gaps_between(apart, self._sizes), chance), self._reference.known)
+        gaps = gaps_between(apart, self._sizes)
+        chance = 0.0 if compensated else self._rounding_of_sums(self._largest(gaps))
+        return np.maximum(SAFETY * np.maximum(gaps, chance), self._reference.known)
 
     def _largest_at(self, errors: Float[np.ndarray, " samples"]) -> int:
         """The sample of the largest error but for the share of all periods that is left out."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,9 @@ _SUSPECT = 1 << 14  # kicks: where references still differ, the field may jump
 _ENLARGED = 1 << 16  # kicks: where references come no nearer to each other by now, the motion enlarges everything
 _HOPELESS_BY = 10.0  # times the target: about what the most steps would leave, where that is no use
 _TABLES = 4  # that the rounding of plain sums is measured on
-_NO_MATTER = 0.01  # of the target: rounding in a table that decides nothing, nor does that in others
+
+NO_MATTER = 0.01
+"""Of an error: rounding in a table that decides nothing, nor does that in others."""
 
 
 class Reference(NamedTuple):
@@ -98,27 +100,20 @@ def refine_reference(
     return Reference(finest, gaps, steps * solver.stages, unresolved)
 
 
-def rounding_of_sums(
+def roundings_of_sums(
     maps: SampleMaps,
     samples: Samples,
     sizes: Float[np.ndarray, " components"],
     kicks: int,
     largest: Callable[[Float[np.ndarray, " samples"]], float],
-    target: float = 0.0,
-) -> float:
-    """Error that plain sums cost the most sensitive samples, in the worst of a few tables.
+) -> Iterator[float]:
+    """Errors that plain sums cost the most sensitive samples, in each of a few tables.
 
     The roundings of one table may happen to be small in it; those of the lanes of the sweep will not all be. They are
-    within a few times of each other, so that one far below the target is enough.
-
-    Args:
-        target: the only one that will be asked for; 0 where any may be.
+    within a few times of each other, so that one far below what decides is enough (`NO_MATTER`).
     """
-    solver, worst = maps.scheme.reference, 0.0
+    solver = maps.scheme.reference
     for steps in (max(REFERENCE_STEPS, kicks // (2 * solver.stages)) + i for i in range(_TABLES)):
         plain, exact = (maps.image(maps.of(solver, steps, compensated=c), samples) for c in (False, True))
         gaps = gaps_between(differences(plain, exact), sizes)
-        worst = max(worst, largest(np.where(np.isfinite(gaps), gaps, 0.0)))
-        if worst < _NO_MATTER * target:
-            break
-    return worst
+        yield largest(np.where(np.isfinite(gaps), gaps, 0.0))
