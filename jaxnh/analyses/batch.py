@@ -248,6 +248,11 @@ class Link(NamedTuple):
 class LaneRunner(Protocol):
     """Runs a per-lane function over any number of lanes (`jaxnh.engine.executor.lanes.LaneExecutor`)."""
 
+    @property
+    def on_card(self) -> bool:
+        """Return whether lanes run on a card, where the host is slow beside them."""
+        ...
+
     def __call__(
         self,
         function: Callable[..., Any],
