@@ -264,6 +264,11 @@ class LaneRunner(Protocol):
     What comes back has the type of the function's result, of NumPy's arrays: a record stays a record.
     """
 
+    @property
+    def on_card(self) -> bool:
+        """Return whether lanes run on a card, where the host is slow beside them."""
+        ...
+
     @overload
     def __call__(
         self, function: Callable[..., Array], shared: Trees, lanes: Trees, **options: Unpack[CallOptions]

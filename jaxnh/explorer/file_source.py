@@ -12,7 +12,7 @@ from jaxnh.explorer.overlays import GROUPS
 from jaxnh.explorer.source import LaneReport, Parameter, axis_title
 from jaxnh.explorer.view import View
 
-_OF_A_LANE = ("portrait", "poincare", "period", "lyapunov", "chaos01", "verdict", "basins", "attractors")
+_OF_A_LANE = ("portrait", "poincare", "period", "lyapunov", "chaos01", "verdict", "rotation", "basins", "attractors")
 
 Groups = Mapping[str, xr.Dataset]
 """Groups of a result by name, described (`plotting.descriptions`)."""

@@ -1,4 +1,4 @@
-"""Values of the parameters that a result is at, read from the config that it carries. Nothing of it is run; no JAX."""
+"""Parameters of a result, read from the config that it carries: fixed values, and ranges. Nothing is run; no JAX."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from jaxnh.config.config import config_of
+from jaxnh.config.config import Config, config_of
 from jaxnh.config.yaml_source import from_text
 from jaxnh.exceptions import InputError
 
@@ -26,14 +26,10 @@ def fixed_parameters(attrs: Mapping[Any, Any]) -> dict[str, float]:
     Args:
         attrs: of the root of a result; without a config there is nothing to be read.
     """
-    text, user_text = attrs.get("config"), attrs.get("system_file")
-    if not text:
+    config, user_text = _config(attrs)
+    if config is None:
         return {}
-    try:
-        config = config_of(from_text(str(text)), user_text=str(user_text) if user_text else None)
-    except InputError:  # of another version
-        return {}
-    own = _defaults(str(user_text)) if user_text else {}
+    own = _defaults(user_text) if user_text else {}
     own |= {
         name: float(value)
         for name, value in config.system.model_dump().items()
@@ -42,6 +38,24 @@ def fixed_parameters(attrs: Mapping[Any, Any]) -> dict[str, float]:
     grids = config.sweep.grids
     single = {name: float(grid.first) for name, grid in grids.items() if grid.size == 1}
     return {name: value for name, value in own.items() if name not in grids} | single
+
+
+def swept_ranges(attrs: Mapping[Any, Any]) -> dict[str, tuple[float, float]]:
+    """Return least and largest value of each axis of more than one value; as of `fixed_parameters`."""
+    config, _ = _config(attrs)
+    if config is None:
+        return {}
+    grids = {name: grid.grid() for name, grid in config.sweep.grids.items() if grid.size > 1}
+    return {name: (float(values.min()), float(values.max())) for name, values in grids.items()}
+
+
+def _config(attrs: Mapping[Any, Any]) -> tuple[Config | None, str]:
+    """The config of a result and the text of its user's file; None where there is none, or one of another version."""
+    text, user_text = attrs.get("config"), str(attrs.get("system_file") or "")
+    try:
+        return (config_of(from_text(str(text)), user_text=user_text or None) if text else None), user_text
+    except InputError:
+        return None, user_text
 
 
 def _defaults(text: str) -> dict[str, float]:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 
+from jaxnh.explorer.atlas import ORBITS, with_orbits
 from jaxnh.explorer.layers import Facts, Item, Layer, Points
 from jaxnh.explorer.report import with_error
 from jaxnh.plotting.bifurcation_curves import SHORT_NAMES
@@ -34,10 +35,10 @@ def layers_of(groups: Mapping[str, xr.Dataset], across: str, up: str) -> list[La
         up: the second axis of a plane, or the coordinate that a diagram is of.
     """
     across, up = coordinate_of(across), coordinate_of(up)
-    there = {name: groups[name].load() for name in _MAKERS if name in groups}
+    there = with_orbits({name: groups[name].load() for name in (*_MAKERS, ORBITS) if name in groups})
     layers = list[Layer]()
     for name, data in there.items():
-        turned = name in ALONG_ONE and _level_of(data, up, across) is not None
+        turned = name in ALONG_ONE and _levels_of(data, up, across) is not None
         layers += map(_turned, _MAKERS[name](data, up, across)) if turned else _MAKERS[name](data, across, up)
     return layers
 
@@ -84,6 +85,16 @@ def _points(data: xr.Dataset, at: tuple[int, ...], ending: str = "_points") -> P
     return {name: values[known] for name, values in every.items()}
 
 
+def _points_at(data: xr.Dataset, *at: int) -> Points:
+    return _points(data, at)
+
+
+def _of_curve(data: xr.Dataset, at: int) -> Facts:
+    """The number of the curve that a point is on, where the group says it."""
+    number = int(data["curve"][at]) if "curve" in data.data_vars else -1
+    return [("on the curve of number", f"{number}")] if number >= 0 else []
+
+
 def _period(n: int) -> str:
     return f"period {n}" if n else "equilibria"
 
@@ -102,7 +113,8 @@ def _of_curves(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
     def facts(c: int, k: int) -> Facts:
         ends = _words(data, ("begins", "ends"), c)
         where = [(name, _number(data, name, (c, k))) for name in (across, up)]
-        return [("curve", name_of(_word(data["kind"], c), period[c])), *where, *_multipliers(data, (c, k)), *ends]
+        known = [("curve", name_of(_word(data["kind"], c), period[c])), ("number", f"{c}")]
+        return [*known, *where, *_multipliers(data, (c, k)), *ends]
 
     def name_of(words: str, n: int) -> str:
         return f"{words}, period {n}" if n >= 0 else words
@@ -110,7 +122,7 @@ def _of_curves(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
     for what, (words, _) in named.items():
         for n in periods:
             chosen = np.flatnonzero((kind == what) & (period == n)).tolist()
-            items = tuple(Item(x[c], y[c], partial(facts, c)) for c in chosen)
+            items = tuple(Item(x[c], y[c], partial(facts, c), partial(_points_at, data, c)) for c in chosen)
             colour = CURVES[list(named).index(what) % len(CURVES)]
             if items:
                 yield Layer(name_of(words, n), "line", colour, items, dash=periods.index(n))
@@ -124,11 +136,15 @@ def _of_codimension_two(data: xr.Dataset, across: str, up: str) -> Iterator[Laye
     def facts(c: int, _: int) -> Facts:
         where = [(name, _number(data, name, (c,))) for name in (across, up)]
         of = [("on curves of", f"period {int(data['period'][c])}")] if "period" in data else []
-        return [("codimension two", _word(data["kind"], c)), *where, *of, *_multipliers(data, (c,))]
+        along = _of_curve(data, c)
+        return [("codimension two", _word(data["kind"], c)), *where, *of, *along, *_multipliers(data, (c,))]
 
     for what, (words, _) in meanings(data["kind"]).items():
         chosen = np.flatnonzero(data["kind"].to_numpy() == what).tolist()
-        items = tuple(Item(x[c : c + 1], y[c : c + 1], partial(facts, c)) for c in chosen)
+        items = tuple(
+            Item(x[c : c + 1], y[c : c + 1], partial(facts, c), partial(lambda c, _: _points(data, (c,)), c))
+            for c in chosen
+        )
         if items:
             yield Layer(words, "dots", BLACK, items, mark="hollow circle", label=SHORT_NAMES.get(words, words))
 
@@ -154,30 +170,32 @@ def _of_doublings(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
 # ---- over a parameter and a coordinate
 
 
-def _level_of(data: xr.Dataset, across: str, up: str) -> float | None:
-    """The value of the second parameter of a plane that a group along the first one is at; None where it has none."""
-    fixed = up in data.coords and not data[up].ndim and up != parameter_of(data)
-    return float(data[up]) if fixed and across == parameter_of(data) else None
+def _levels_of(data: xr.Dataset, across: str, up: str) -> np.ndarray | None:
+    """Values of the second parameter of a plane that the items of a group along the first one are at, one an item.
+
+    One for all, or of an atlas that of the row of each; None where the group has none.
+    """
+    if up == parameter_of(data) or across != parameter_of(data):
+        return None
+    if up in data.coords and not data[up].ndim:
+        [count] = [data.sizes[dim] for dim in ("branch", "bifurcation", "window") if dim in data.sizes]
+        return np.full(count, float(data[up]))
+    return data[up].to_numpy() if up == data.attrs.get("rows") else None
 
 
 def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
-    level = _level_of(data, across, up)
-    if level is None and (across != parameter_of(data) or f"{up}_points" not in data):
+    levels = _levels_of(data, across, up)
+    if levels is None and (across != parameter_of(data) or f"{up}_points" not in data):
         return
     x = data[across].to_numpy()
-    y = _heights(data, up, level, "branch", "point", "iterate")
+    y = _heights(data, up, levels, "branch", "point", "iterate")
     stable, period = data["stable"].to_numpy() == 1, data["period"].to_numpy()
 
     def facts(b: int, k: int) -> Facts:
         words = f"{_period(period[b])}, {'stable' if stable[b, k] else 'unstable'}"
         residual = [("residual", f"{float(data['residual'][b, k]):.1g}")] if "residual" in data else []
-        return [
-            ("branch", words),
-            (across, repr(float(x[b, k]))),
-            *_second(up, level),
-            *_multipliers(data, (b, k)),
-            *residual,
-        ]
+        known = [("branch", words), ("number", f"{b}"), (across, repr(float(x[b, k])))]
+        return [*known, *_second(data, up, levels, b), *_multipliers(data, (b, k)), *residual]
 
     periods = np.unique(period).tolist()
     for n in periods:
@@ -186,10 +204,9 @@ def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
             for b in np.flatnonzero(period == n).tolist():
                 here = stretch_places(stable[b] == attracts, np.zeros(len(x[b]), bool))
                 if np.any(here & np.isfinite(x[b])):
-                    orbit = partial(lambda b, k: _points(data, (b, k)), b)
                     items += [
-                        Item(np.where(here, x[b], np.nan), y[b, :, i], partial(facts, b), orbit)
-                        for i in range(max(n, 1) if level is None else 1)
+                        Item(np.where(here, x[b], np.nan), y[b, :, i], partial(facts, b), partial(_points_at, data, b))
+                        for i in range(max(n, 1) if levels is None else 1)
                     ]
             if items:
                 words = f"{_period(n)}, {'stable' if attracts else 'unstable'}"
@@ -197,30 +214,37 @@ def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
                 yield Layer(words, "line", colour, tuple(items), dash=0 if attracts else 1)
 
 
-def _second(up: str, level: float | None) -> Facts:
-    return [] if level is None else [(up, repr(level))]
+def _second(data: xr.Dataset, up: str, levels: np.ndarray | None, at: int) -> Facts:
+    """The value of the second parameter of an item: of a plane, or of its row over other axes."""
+    if levels is not None:
+        return [(up, repr(float(levels[at])))]
+    rows = str(data.attrs.get("rows", ""))
+    return [(rows, repr(float(data[rows][at])))] if rows in data else []
 
 
-def _heights(data: xr.Dataset, up: str, level: float | None, *dims: str) -> np.ndarray:
+def _heights(data: xr.Dataset, up: str, levels: np.ndarray | None, *dims: str) -> np.ndarray:
     """Points of orbits upward; where a plane is of two parameters the value of the second."""
-    if level is None:
+    if levels is None:
         return data[f"{up}_points"].transpose(*dims).to_numpy()
-    return np.full((*(data.sizes[dim] for dim in dims[:-1]), 1), level)
+    shape = *(data.sizes[dim] for dim in dims[:-1]), 1
+    return np.broadcast_to(levels.reshape(-1, *(1 for _ in dims[1:])), shape)
 
 
 def _of_bifurcations(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
-    level = _level_of(data, across, up)
-    if level is None and (across != parameter_of(data) or f"{up}_points" not in data):
+    levels = _levels_of(data, across, up)
+    if levels is None and (across != parameter_of(data) or f"{up}_points" not in data):
         return
-    y = _heights(data, up, level, "bifurcation", "iterate")
+    y = _heights(data, up, levels, "bifurcation", "iterate")
     x = np.broadcast_to(data[across].to_numpy()[:, None], y.shape)
 
     def facts(c: int, _: int) -> Facts:
         of = _period(int(data["period"][c])) if "period" in data else ""
         more = [("normal form", f"{float(data['coefficient'][c]):.6g}")] if "coefficient" in data else []
         born = _words(data, ("criticality",), c)
-        where = [(across, _number(data, across, (c,))), *_second(up, level)]
-        return [(_word(data["kind"], c), of), *where, *born, *more, *_multipliers(data, (c,))]
+        where = [(across, _number(data, across, (c,))), *_second(data, up, levels, c)]
+        branch = [("of the branch of number", f"{int(data['branch'][c])}")] if "branch" in data.data_vars else []
+        along = [*branch, *_of_curve(data, c)]
+        return [(_word(data["kind"], c), of), *where, *born, *more, *along, *_multipliers(data, (c,))]
 
     for what, (words, _) in meanings(data["kind"]).items():
         chosen = np.flatnonzero(data["kind"].to_numpy() == what).tolist()
@@ -230,19 +254,20 @@ def _of_bifurcations(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
 
 
 def _of_windows(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
-    if across != parameter_of(data) or up in data.data_vars:
+    levels = _levels_of(data, across, up)
+    if across != parameter_of(data) or (levels is None and up in data.data_vars):
         return
 
     def facts(w: int, _: int) -> Facts:
         known = [name for name in ("begin", "end", "limit", "crisis") if np.isfinite(float(data[name][w]))]
         kinds = {name: f" ({_word(data[f'{name}_kind'], w)})" for name in ("begin", "end")}
         where = [(name, _number(data, name, (w,)) + kinds.get(name, "")) for name in known]
-        return [("window", _period(int(data["period"][w]))), *where, *_second(up, level)]
+        return [("window", _period(int(data["period"][w]))), *where, *_second(data, up, levels, w)]
 
-    ends, level = reaches(data)[1], _level_of(data, across, up)
-    items = tuple(Item(ends[w], np.full(2, level or 0.0), partial(facts, w)) for w in range(len(ends)))
+    ends, heights = reaches(data)[1], np.zeros(data.sizes["window"]) if levels is None else levels
+    items = tuple(Item(ends[w], np.full(2, heights[w]), partial(facts, w)) for w in range(len(ends)))
     if items:
-        look: tuple[Literal["line", "band"], str] = ("band", PALE) if level is None else ("line", _INK)
+        look: tuple[Literal["line", "band"], str] = ("band", PALE) if levels is None else ("line", _INK)
         yield Layer("periodic windows", *look, items)
 
 
@@ -328,8 +353,8 @@ _MAKERS: Mapping[str, _Maker] = {
     "codimension_two": _of_codimension_two,
 }
 
-GROUPS = tuple(_MAKERS)
-"""Groups that are laid over pictures."""
+GROUPS = (*_MAKERS, ORBITS, "atlas")
+"""Groups that are laid over pictures, or say more of those that are."""
 
 ALONG_ONE = ("windows", "branches", "bifurcations")
 """Those along one parameter; over planes of two they lie at the value that the other has in their result."""

@@ -17,6 +17,7 @@ from bokeh.events import RangesUpdate, Tap
 from bokeh.models import CustomJS
 
 from jaxnh.exceptions import JaxnhError
+from jaxnh.explorer.atlas import limits_of
 from jaxnh.explorer.controls import Controls
 from jaxnh.explorer.editor import Editor, EditorState
 from jaxnh.explorer.figures import Drawing
@@ -306,9 +307,10 @@ class Page:
             self._say(self._picture.words)
 
     def _note(self, notes: Sequence[str]) -> None:
-        """Notes under the picture, and while the first view is shown, why an address names no view."""
+        """Notes under the picture, limits of an atlas, and of the first view why an address names none."""
+        limits = [limit for groups in self._overlays for limit in limits_of(groups)]
         wrong = [self._wrong] if self._wrong and self._history.place == 0 else []
-        lines = [*(("status error", text) for text in wrong), *(("notes", text) for text in notes)]
+        lines = [*(("status error", text) for text in wrong), *(("notes", text) for text in (*notes, *limits))]
         self._notes.object = "".join(f"<div class='{kind}'>{html.escape(text)}</div>" for kind, text in lines)
 
     def _say(self, text: str, *, error: bool = False) -> None:

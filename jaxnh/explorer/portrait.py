@@ -101,9 +101,10 @@ class Portrait:
             self.space.js_on_event(event, dragged)
 
     def show(self, report: LaneReport) -> None:
-        """Draw a report: points in the plane of the trajectory where there is one, those of a section too."""
+        """Draw a report: the trajectory and points of the section, or else the points of the attractors there."""
         groups = {key: describe(key, report.groups[key]) for key in ("portrait", "poincare") if key in report.groups}
         if not groups:
+            self.show_orbit(points_of_attractors(report))
             return
         first = next(iter(groups.values()))
         path, points = (_numbers(groups.get(key)) for key in ("portrait", "poincare"))
@@ -114,7 +115,9 @@ class Portrait:
         self._draw(path, points, titles, [str(variable.name) for variable in variables_of(first)])
 
     def show_orbit(self, points: Points) -> None:
-        """Draw the points of an orbit."""
+        """Draw the points of an orbit, if there are any."""
+        if not has_points(points):
+            return
         self._draw({}, points, {name: name for name in points}, list(points))
 
     def _draw(self, path: Coordinates, points: Coordinates, titles: dict[str, str], plane: Sequence[str]) -> None:
@@ -157,6 +160,22 @@ class Portrait:
         self._names.data = {**_columns(places), "text": words}
         self._filled += 1
         self._names.tags = [self._filled]  # the browser projects them
+
+
+def has_points(points: Points) -> bool:
+    """Return whether there are points, and in every coordinate."""
+    return bool(points) and all(len(values) for values in points.values())
+
+
+def points_of_attractors(report: LaneReport) -> Points:
+    """Points of all attractors that there are at the parameters of a lane; none on planes of start states."""
+    data = report.groups.get("attractors")
+    if data is None or data["fraction"].ndim != 1:
+        return {}
+    names = [str(name) for name in data.data_vars if str(name).endswith("_points")]
+    values = {name.removesuffix("_points"): data[name].to_numpy().ravel() for name in names}
+    known = np.all([np.isfinite(each) for each in values.values()], axis=0) if values else np.zeros(0, bool)
+    return {name: each[known] for name, each in values.items()}
 
 
 def _edge_words(titles: Sequence[str], low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, list[str]]:

@@ -9,7 +9,7 @@ import panel as pn
 from bokeh.models import ColumnDataSource
 
 from jaxnh.explorer.layers import Points
-from jaxnh.explorer.portrait import Portrait
+from jaxnh.explorer.portrait import Portrait, has_points, points_of_attractors
 from jaxnh.explorer.source import LaneReport
 
 _PLANE, _SPACE = "plane", "space"
@@ -56,8 +56,9 @@ class PortraitPane:
         return {str(name): float(values[0]) for name, values in data.items()}
 
     def show(self, report: LaneReport) -> None:
-        """Draw a report, where it has a trajectory or points."""
-        there = "portrait" in report.groups or "poincare" in report.groups
+        """Draw a report, where it has a trajectory or points, of attractors too."""
+        own = "portrait" in report.groups or "poincare" in report.groups
+        there = own or has_points(points_of_attractors(report))
         if there:
             self._portrait.show(report)
             self._arrange()
@@ -65,7 +66,7 @@ class PortraitPane:
 
     def show_orbit(self, points: Points) -> bool:
         """Draw the points of an orbit; returns whether there are any."""
-        if not points or not all(len(values) for values in points.values()):
+        if not has_points(points):
             return False
         self._portrait.show_orbit(points)
         self._arrange()

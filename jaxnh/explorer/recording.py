@@ -8,6 +8,8 @@ from pathlib import Path
 import xarray as xr
 
 from jaxnh.exceptions import InputError, JaxnhError, ResultError
+from jaxnh.explorer.blank_picture import BlankPicture, has_curves
+from jaxnh.explorer.charts import with_charts
 from jaxnh.explorer.file_source import (
     Attrs,
     FileSource,
@@ -48,14 +50,16 @@ def open_recording(path: Path) -> PictureSource:
 def source_of(tree: xr.DataTree, name: str, path: Path | None = None) -> PictureSource:
     """The planes over the first two long axes of a result, or where there are none the diagram over the first.
 
+    Where there are only curves or branches, a white picture below these.
+
     Args:
         name: what the result is called.
         path: its file, beside which overviews of large planes are kept; None: they go with the program.
 
     Raises:
-        ResultError: there is neither a plane nor a diagram in it.
+        ResultError: there is no plane, no diagram, no curves and no branches in it.
     """
-    names, groups = str(tree.attrs.get("axes", "")).split(), described(tree)
+    names, groups = str(tree.attrs.get("axes", "")).split(), with_charts(described(tree))
     sizes = {str(axis): size for data in groups.values() for axis, size in data.sizes.items()}
     long = [axis for axis in names if sizes.get(axis, 1) > 1]
     attrs = {**tree.attrs, "title": str(tree.attrs.get("title") or name)}
@@ -73,6 +77,8 @@ def source_of(tree: xr.DataTree, name: str, path: Path | None = None) -> Picture
         )
     if "diagram" in groups and long:
         return RecordedDiagram(groups, long[0], attrs, name)
+    if has_curves(groups):
+        return BlankPicture(groups, attrs, name)
     there = ", ".join(groups) or "nothing"
     raise ResultError(f"{name} has {there}, and no diagram and no plane of two axes")
 

@@ -31,6 +31,8 @@ def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
     groups = report.groups
     if any("computed" in data and not int(data["computed"]) for data in groups.values()):
         yield "from a coarser level", "this lane was not computed; it has what a neighbour of its kind has"
+    if "attractors" in groups and ("basins" not in groups or groups["basins"]["attractor"].ndim):
+        yield from _shares(groups["attractors"])
     if "basins" in groups:
         yield from _basin(groups["basins"], groups.get("attractors"))
     if "verdict" in groups:
@@ -39,6 +41,8 @@ def lines(report: LaneReport) -> Iterator[tuple[str, str]]:
             yield "phase volume", _flag(groups["verdict"]["phase_volume"])
     if "period" in groups:
         yield from _period(groups["period"])
+    if "rotation" in groups:
+        yield from _rotation(groups["rotation"])
     if "lyapunov" in groups:
         yield from _spectrum(groups["lyapunov"])
     if "chaos01" in groups:
@@ -60,6 +64,17 @@ def _basin(data: xr.Dataset, attractors: xr.Dataset | None) -> Iterator[tuple[st
         yield "known after", f"{float(data['time']):g} {data['time'].attrs.get('counted_in', '')}"
 
 
+def _shares(attractors: xr.Dataset) -> Iterator[tuple[str, str]]:
+    """Shares of the basins of attractors that there are, where they have one at each point of a plane."""
+    if "fraction_low" not in attractors or attractors["fraction"].ndim != 1:
+        return
+    for k in range(attractors.sizes["attractor"]):
+        share, low, high = (float(attractors[f"fraction{end}"][k]) for end in ("", "_low", "_high"))
+        if share > 0:
+            words = attractor_words(attractors)[int(attractors["attractor"][k])]
+            yield f"attractor {words}", f"share {share:.3g} ({low:.3g} to {high:.3g})"
+
+
 def _period(data: xr.Dataset) -> Iterator[tuple[str, str]]:
     if int(data["status"]):
         yield "least period", f"failed: {_flag(data['status'])}"
@@ -68,6 +83,12 @@ def _period(data: xr.Dataset) -> Iterator[tuple[str, str]]:
     yield "least period", f"{n}" if n else f"none up to {data.attrs.get('max_period', '?')}"
     if n:
         yield "largest multiplier", f"{float(data['multiplier']):.6g}"
+
+
+def _rotation(data: xr.Dataset) -> Iterator[tuple[str, str]]:
+    fraction = f" to {int(data['numerator'])}/{int(data['denominator'])}" if int(data["denominator"]) else ""
+    yield "rotation number", with_error(float(data["rotation"]), float(data["rotation_error"]))
+    yield "rotation", f"{_flag(data['kind'])}{fraction}"
 
 
 def _spectrum(data: xr.Dataset) -> Iterator[tuple[str, str]]:

@@ -1,8 +1,13 @@
-"""The page in a real Chromium: open, zoom, click, save, reload, keys, editing, two tabs, a server that stops; tokens."""
+"""The page in a real Chromium: open, zoom, click, save, reload, keys, editing, two tabs, a server that stops; tokens.
+
+One browser and one process that serves all pages (`helpers.explorer_sites`) are shared; where it is the command itself
+that is tested, or what it does to files, it is started (`started`).
+"""
 
 from __future__ import annotations
 
 import http.client
+import json
 import os
 import re
 import shutil
@@ -18,10 +23,12 @@ import pytest
 
 import jaxnh
 from sweeps.timing.explore_tiles import make_chart
+from tests.helpers.explorer_sites import COLUMNS
 from tests.helpers.hand_made_results import (
     cascade_branches,
     cascade_marks,
     dataset,
+    logistic_atlas,
     states,
     tree,
     window_rows,
@@ -34,7 +41,6 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is miss
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 
-COLUMNS = 128
 PATIENCE = 120_000  # milliseconds: an end to waiting on machines that do much else, no demand
 CONFIG = """
 title: The page's own test
@@ -82,18 +88,96 @@ def ended(process):
         process.stdout.close()
 
 
+MAP = """\
+def system(r=3.2):
+    def image(y):
+        x, z, w = y
+        return r * x * (1 - x), x, z
+
+    return {"map": image, "coordinates": ("x", "z", "w")}
+"""
+MAP_CONFIG = """\
+title: A map
+system: {file: own.py}
+initial: {x: 0.3}
+sweep: {r: {start: 3.0, stop: 3.4, count: 8}}
+analyses: {diagram: {transient: 64, strobes: 8}}
+"""
+
+
 @pytest.fixture(scope="module")
-def config(tmp_path_factory):
-    path = tmp_path_factory.mktemp("explore") / "page.yaml"
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("explore")
+
+
+@pytest.fixture(scope="module")
+def config(folder):
+    path = folder / "page.yaml"
     path.write_text(CONFIG)
     return path
 
 
 @pytest.fixture(scope="module")
-def address(config):
-    process, found = started(config, "--columns", COLUMNS)
-    yield found
+def sites(folder, config):
+    """Addresses of pages by name."""
+    (folder / "chart.yaml").write_text(CHART)
+    (folder / "own.yaml").write_text(MAP_CONFIG)
+    (folder / "own.py").write_text(MAP)
+    make_chart(folder / "tiles.h5", 2100)
+    b = np.linspace(1.0, 6.0, 5)
+    results = {
+        "cascade": cascade(),
+        "spiral": tree({"diagram": states(b, 8), "portrait": states(b, 64, "time", "trajectories")}),
+        "plane": plane(),
+        "branches": along_the_plane(),
+        "atlas": logistic_atlas(),
+    }
+    for name, result in results.items():
+        write(folder / f"{name}.h5", result)
+    files = {"config": "page.yaml", "chart": "chart.yaml", "map": "own.yaml", "tiles": "tiles.h5"}
+    files |= {name: f"{name}.h5" for name in results}
+    over, listening = {"plane": ["branches.h5"]}, {"map": "127.0.0.2"}
+    described = {
+        name: (
+            str(folder / file),
+            [str(folder / each) for each in over.get(name, ())],
+            listening.get(name, "127.0.0.1"),
+        )
+        for name, file in files.items()
+        if name != "branches"
+    }
+    command = [sys.executable, "-m", "tests.helpers.explorer_sites", json.dumps(described)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    yield json.loads(process.stdout.readline())
     assert ended(process) == 0
+
+
+def cascade():
+    """The logistic map's branches over a diagram, of period 1 at x = 1 − 1/b, from b = 3 on unstable."""
+    groups = {"branches": cascade_branches(), "bifurcations": cascade_marks(), "windows": window_rows()}
+    return tree({"diagram": states(np.linspace(2.5, 3.5, 5), 8), **groups})
+
+
+def plane():
+    """A chart over b and a."""
+    axes = {"b": (np.linspace(2.0, 4.0, 9), "coupling b"), "a": (np.linspace(0.0, 1.0, 5), "depth a")}
+    about = {"panel": "integers", "panel_variables": "period", "panel_label": "least period"}
+    made = {"period": (("b", "a"), np.ones((9, 5), int), "least period", "1")}
+    return tree({"period": dataset(axes, made, **about)}, axes="b a")
+
+
+def along_the_plane():
+    """The branches at a = 0.4."""
+    config = "system: {file: own.py, a: 0.4}\nsweep: {b: {start: 2, stop: 4, count: 9}}\nanalyses: {branches: {}}\n"
+    over = tree({"branches": cascade_branches(), "windows": window_rows()})
+    over.attrs |= {"config": config, "system_file": "def system(a=1.0, b=2.0):\n    return {}\n"}
+    return over
+
+
+@pytest.fixture
+def address(sites):
+    return sites["config"]
 
 
 @pytest.fixture(scope="module")
@@ -249,42 +333,36 @@ def test_a_result_opens_without_computing_and_a_stopped_server_is_said(tab, conf
     shot(page, "stopped")
 
 
-def test_a_chart_opens_and_is_zoomed_clicked_and_saved(tab, tmp_path):
-    chart = tmp_path / "chart.yaml"
-    chart.write_text(CHART)
-    process, address = started(chart, "--columns", COLUMNS)
-    try:
-        page = tab(address)
-        page.get_by_text("25 × 18 lanes", exact=True).wait_for()
-        zoom(page, "25 × 18 lanes")
-        (low, high), (bottom, top) = view(page), view(page, "bottom", "top")
-        assert 4.0 < low < high < 6.0
-        assert 0.4 < bottom < top < 0.6
-        box = page.locator(".bk-Figure").first.bounding_box()
-        page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-        page.get_by_text("least period").last.wait_for()
-        rows = [line.split("\t") for line in page.locator("table.lane").inner_text().splitlines()]
-        assert low <= float(dict(rows)["b"]) <= high
-        assert bottom <= float(dict(rows)["a"]) <= top
-        shot(page, "chart")
-        with page.expect_download() as download:
-            page.get_by_text("Save as YAML").click()
-        saved = tmp_path / "view.yaml"
-        download.value.save_as(saved)
-        experiment = jaxnh.load(saved)
-        assert [(axis.name, axis.values[0], axis.values[-1]) for axis in experiment.axes] == [
-            ("b", low, high),
-            ("a", bottom, top),
-        ]
-        assert [analysis.name for analysis, _ in experiment.requested()] == ["period"]
-        with page.expect_download() as download:
-            page.get_by_text("Save picture").click()
-        download.value.save_as(tmp_path / "view.png")
-        assert (tmp_path / "view.png").read_bytes().startswith(b"\x89PNG")
-        page.get_by_role("button", name="Back").click()
-        page.wait_for_function("() => location.search.includes('bottom=0.4&top=0.6')")
-    finally:
-        assert ended(process) == 0
+def test_a_chart_opens_and_is_zoomed_clicked_and_saved(tab, sites, tmp_path):
+    page = tab(sites["chart"])
+    page.get_by_text("25 × 18 lanes", exact=True).wait_for()
+    zoom(page, "25 × 18 lanes")
+    (low, high), (bottom, top) = view(page), view(page, "bottom", "top")
+    assert 4.0 < low < high < 6.0
+    assert 0.4 < bottom < top < 0.6
+    box = page.locator(".bk-Figure").first.bounding_box()
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    page.get_by_text("least period").last.wait_for()
+    rows = [line.split("\t") for line in page.locator("table.lane").inner_text().splitlines()]
+    assert low <= float(dict(rows)["b"]) <= high
+    assert bottom <= float(dict(rows)["a"]) <= top
+    shot(page, "chart")
+    with page.expect_download() as download:
+        page.get_by_text("Save as YAML").click()
+    saved = tmp_path / "view.yaml"
+    download.value.save_as(saved)
+    experiment = jaxnh.load(saved)
+    assert [(axis.name, axis.values[0], axis.values[-1]) for axis in experiment.axes] == [
+        ("b", low, high),
+        ("a", bottom, top),
+    ]
+    assert [analysis.name for analysis, _ in experiment.requested()] == ["period"]
+    with page.expect_download() as download:
+        page.get_by_text("Save picture").click()
+    download.value.save_as(tmp_path / "view.png")
+    assert (tmp_path / "view.png").read_bytes().startswith(b"\x89PNG")
+    page.get_by_role("button", name="Back").click()
+    page.wait_for_function("() => location.search.includes('bottom=0.4&top=0.6')")
 
 
 def facts(page):
@@ -308,40 +386,50 @@ def click(page, across, up):
     page.mouse.click(box["x"] + left + across * width, box["y"] + top + (1.0 - up) * height)
 
 
-def test_curves_are_laid_over_told_by_a_click_and_moved_by_keys(tab, tmp_path):
-    """The branch of period 1 of the logistic map is at x = 1 − 1/b, and from b = 3 on unstable."""
-    groups = {"branches": cascade_branches(), "bifurcations": cascade_marks(), "windows": window_rows()}
-    made = tree({"diagram": states(np.linspace(2.5, 3.5, 5), 8), **groups})
-    process, address = started(write(tmp_path / "page.h5", made))
-    try:
-        page = tab(address + "&low=2.5&high=3.5&bottom=0&top=1")
-        page.get_by_text("5 values", exact=True).wait_for()
-        page.wait_for_timeout(500)
-        click(page, 0.8, 1 - 1 / 3.3)
-        page.get_by_text("period 1, unstable").wait_for()
-        assert float(facts(page)["b"]) == pytest.approx(3.3, abs=0.03)
-        shot(page, "overlays")
-        page.keyboard.press("?")
-        page.get_by_role("dialog").wait_for()
-        page.keyboard.press("Escape")
-        page.get_by_role("dialog").wait_for(state="detached")
-        page.keyboard.press("+")
-        page.wait_for_function("() => location.search.includes('low=2.75&high=3.25')")
-        page.keyboard.press("[")
-        page.wait_for_function("() => location.search.includes('low=2.5&high=3.5')")
-    finally:
-        assert ended(process) == 0
+def test_curves_are_laid_over_told_by_a_click_and_moved_by_keys(tab, sites):
+    page = tab(sites["cascade"] + "&low=2.5&high=3.5&bottom=0&top=1")
+    page.get_by_text("5 values", exact=True).wait_for()
+    page.wait_for_timeout(500)
+    click(page, 0.8, 1 - 1 / 3.3)
+    page.get_by_text("period 1, unstable").wait_for()
+    assert float(facts(page)["b"]) == pytest.approx(3.3, abs=0.03)
+    shot(page, "overlays")
+    page.keyboard.press("?")
+    page.get_by_role("dialog").wait_for()
+    page.keyboard.press("Escape")
+    page.get_by_role("dialog").wait_for(state="detached")
+    page.keyboard.press("+")
+    page.wait_for_function("() => location.search.includes('low=2.75&high=3.25')")
+    page.keyboard.press("[")
+    page.wait_for_function("() => location.search.includes('low=2.5&high=3.5')")
 
 
-@pytest.fixture(scope="module")
-def spiral(tmp_path_factory):
-    """A result whose lanes have a portrait of four coordinates."""
-    b = np.linspace(1.0, 6.0, 5)
-    portrait = states(b, 64, "time", "trajectories")
-    path = tmp_path_factory.mktemp("explore") / "page.h5"
-    process, found = started(write(path, tree({"diagram": states(b, 8), "portrait": portrait})))
-    yield found
-    assert ended(process) == 0
+def test_an_atlas_leads_from_a_curve_to_its_orbit_and_says_its_limits(tab, sites):
+    """On b + d = 3 the orbit that doubles is at 2/3."""
+    page = tab(sites["atlas"] + "&low=2.5&high=3.3&bottom=0.0&top=0.4")
+    page.get_by_text("9 × 5 lanes", exact=True).wait_for()
+    page.get_by_text("complete to orbits of periods up to 1").wait_for()
+    page.wait_for_timeout(500)
+    click(page, (2.85 - 2.5) / 0.8, 0.15 / 0.4)
+    page.get_by_text("period doubling, period 1").last.wait_for()
+    at = facts(page)
+    assert float(at["b"].split()[0]) + float(at["d"].split()[0]) == pytest.approx(3.0)
+    page.wait_for_function(
+        "() => Bokeh.documents[0].get_model_by_name('portrait').renderers[1].data_source.data.x?.length"
+    )
+    assert page.evaluate(PORTRAIT) == pytest.approx([2 / 3])
+    shot(page, "atlas")
+    page.locator("select").first.select_option(label="tongues: denominator")
+    page.get_by_text("tongues: denominator").last.wait_for()
+    page.wait_for_function("() => location.search.includes('variable=tongues')")
+    click(page, 0.9, 0.05)
+    page.get_by_text("locked to 1/2").wait_for()
+    assert facts(page)["attractor 2, periodic, period 1"].startswith("share 0.4")
+    shot(page, "atlas_tongues")
+
+
+PORTRAIT = "() => [...Bokeh.documents[0].get_model_by_name('portrait').renderers[1].data_source.data.x]"
+"""Points of the portrait in the plane."""
 
 
 def steps(page):
@@ -349,9 +437,9 @@ def steps(page):
     return page.evaluate("""() => [...Bokeh.documents[0].get_model_by_name("space").renderers[1].data_source.data.x]""")
 
 
-def test_a_portrait_is_turned_in_space_by_a_drag_and_by_keys(tab, spiral):
+def test_a_portrait_is_turned_in_space_by_a_drag_and_by_keys(tab, sites):
     """A turn of the camera by an angle moves points across by what cos and sin say: their length stays."""
-    page = tab(spiral)
+    page = tab(sites["spiral"])
     page.get_by_text("5 values", exact=True).wait_for()
     page.wait_for_timeout(500)
     click(page, 0.5, 0.5)
@@ -376,11 +464,11 @@ def test_a_portrait_is_turned_in_space_by_a_drag_and_by_keys(tab, spiral):
     shot(page, "space")
 
 
-def test_a_touch_pans_and_two_fingers_zoom(browser, spiral):
+def test_a_touch_pans_and_two_fingers_zoom(browser, sites):
     context = browser.new_context(viewport={"width": 1280, "height": 900}, has_touch=True, is_mobile=True)
     context.set_default_timeout(PATIENCE)
     page = context.new_page()
-    page.goto(spiral)
+    page.goto(sites["spiral"])
     page.get_by_text("5 values", exact=True).wait_for()
     page.wait_for_timeout(500)
     fingers = context.new_cdp_session(page)
@@ -406,23 +494,6 @@ def test_a_touch_pans_and_two_fingers_zoom(browser, spiral):
     low, high = view(page)
     assert high - low < 4.0
     context.close()
-
-
-MAP = """\
-def system(r=3.2):
-    def image(y):
-        x, z, w = y
-        return r * x * (1 - x), x, z
-
-    return {"map": image, "coordinates": ("x", "z", "w")}
-"""
-MAP_CONFIG = """\
-title: A map
-system: {file: own.py}
-initial: {x: 0.3}
-sweep: {r: {start: 3.0, stop: 3.4, count: 8}}
-analyses: {diagram: {transient: 64, strobes: 8}}
-"""
 
 
 @pytest.mark.slow  # two servers and six pictures; `test_edited_files` and `test_saved_view` are quick
@@ -504,65 +575,40 @@ def test_a_loop_in_an_edited_file_is_said_at_its_line_and_the_server_goes_on(tab
         assert ended(process) == 0
 
 
-def test_a_large_chart_is_shown_by_blocks_of_lanes_and_zoomed_down_to_lanes(tab, tmp_path):
-    chart = tmp_path / "chart.h5"
-    make_chart(chart, 2100)
-    process, address = started(chart)
-    try:
-        page = tab(address)
-        whole(page, "2,100 × 2,100 lanes, 2 × 2 a pixel")
-        shot(page, "tiles")
-        zoom(page, "lanes, 1 × 2 a pixel", left=0.3, right=0.5)
-        zoom(page, re.compile(r"^\d+ × \d+ lanes$"), left=0.3, right=0.6)
-        words = page.locator(".status").first.inner_text()
-        assert "pixel" not in words
-        low, high = view(page)
-        assert words.startswith(f"{np.sum(np.abs(np.linspace(0, 1, 2100) - (low + high) / 2) <= (high - low) / 2)} × ")
-        click(page, 0.5, 0.5)
-        page.get_by_text("least period").last.wait_for()
-        assert low <= float(facts(page)["b"]) <= high
-        shot(page, "tiles_zoomed")
-        assert b"jaxlib" not in maps_of(process)
-    finally:
-        assert ended(process) == 0
-    assert [path.name for path in tmp_path.glob("*.overviews/*")] == ["lyapunov.h5"]
+def test_a_large_chart_is_shown_by_blocks_of_lanes_and_zoomed_down_to_lanes(tab, sites, folder):
+    page = tab(sites["tiles"])
+    whole(page, "2,100 × 2,100 lanes, 2 × 2 a pixel")
+    shot(page, "tiles")
+    zoom(page, "lanes, 1 × 2 a pixel", left=0.3, right=0.5)
+    zoom(page, re.compile(r"^\d+ × \d+ lanes$"), left=0.3, right=0.6)
+    words = page.locator(".status").first.inner_text()
+    assert "pixel" not in words
+    low, high = view(page)
+    assert words.startswith(f"{np.sum(np.abs(np.linspace(0, 1, 2100) - (low + high) / 2) <= (high - low) / 2)} × ")
+    click(page, 0.5, 0.5)
+    page.get_by_text("least period").last.wait_for()
+    assert low <= float(facts(page)["b"]) <= high
+    shot(page, "tiles_zoomed")
+    assert [path.name for path in folder.glob("*.overviews/*")] == ["lyapunov.h5"]
 
 
-def test_windows_and_branches_are_laid_over_a_plane_at_the_other_parameter_of_their_result(tab, tmp_path):
+def test_windows_and_branches_are_laid_over_a_plane_at_the_other_parameter_of_their_result(tab, sites):
     """The branch of period 1 of the logistic map is stable up to b = 3, and its result is at a = 0.4."""
-    config = "system: {file: own.py, a: 0.4}\nsweep: {b: {start: 2, stop: 4, count: 9}}\nanalyses: {branches: {}}\n"
-    over = tree({"branches": cascade_branches(), "windows": window_rows()})
-    over.attrs |= {"config": config, "system_file": "def system(a=1.0, b=2.0):\n    return {}\n"}
-    write(tmp_path / "over.h5", over)
-    axes = {"b": (np.linspace(2.0, 4.0, 9), "coupling b"), "a": (np.linspace(0.0, 1.0, 5), "depth a")}
-    about = {"panel": "integers", "panel_variables": "period", "panel_label": "least period"}
-    made = {"period": (("b", "a"), np.ones((9, 5), int), "least period", "1")}
-    write(tmp_path / "plane.h5", tree({"period": dataset(axes, made, **about)}, axes="b a"))
-    process, address = started(tmp_path / "plane.h5", "--over", tmp_path / "over.h5")
-    try:
-        page = tab(address)
-        page.get_by_text("9 × 5 lanes", exact=True).wait_for()
-        page.wait_for_timeout(500)
-        click(page, (2.8 - 2.0) / 2.0, 0.4)  # the view is from the first lane to the last
-        page.get_by_text("period 1, stable").last.wait_for()
-        assert float(facts(page)["b"]) == pytest.approx(2.8, abs=0.03)
-        assert facts(page)["a"] == "0.4"
-        shot(page, "over_plane")
-    finally:
-        assert ended(process) == 0
+    page = tab(sites["plane"])
+    page.get_by_text("9 × 5 lanes", exact=True).wait_for()
+    page.wait_for_timeout(500)
+    click(page, (2.8 - 2.0) / 2.0, 0.4)  # the view is from the first lane to the last
+    page.get_by_text("period 1, stable").last.wait_for()
+    assert float(facts(page)["b"]) == pytest.approx(2.8, abs=0.03)
+    assert facts(page)["a"] == "0.4"
+    shot(page, "over_plane")
 
 
-def test_files_are_not_edited_from_elsewhere(tab, tmp_path):
-    (tmp_path / "own.yaml").write_text(MAP_CONFIG)
-    (tmp_path / "own.py").write_text(MAP)
-    process, address = started(tmp_path / "own.yaml", "--columns", COLUMNS, "--address", "127.0.0.2")
-    try:
-        page = tab(address)
-        whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
-        page.get_by_role("button", name="Edit the files").click()
-        page.get_by_text("files are edited on the loopback alone").wait_for()
-    finally:
-        assert ended(process) == 0
+def test_files_are_not_edited_from_elsewhere(tab, sites):
+    page = tab(sites["map"])
+    whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+    page.get_by_role("button", name="Edit the files").click()
+    page.get_by_text("files are edited on the loopback alone").wait_for()
 
 
 def maps_of(process):
@@ -571,24 +617,32 @@ def maps_of(process):
         return file.read()
 
 
-@pytest.mark.parametrize("listening", ["127.0.0.1", "127.0.0.2"])
-def test_every_address_needs_the_token(listening, tmp_path):
+def test_every_address_needs_the_token(sites):
     """Of the page and of the connection that carries all of it, which a page of another site could ask for."""
-    result = write(tmp_path / "page.h5", tree({"diagram": states(np.linspace(1.0, 6.0, 5), 8)}))
-    process, address = started(result, "--address", listening)
+    for name in ("atlas", "map"):  # on the loopback, and elsewhere
+        ask_for_the_token(sites[name])
+
+
+def test_the_command_shows_a_result_and_needs_the_token(folder, sites):
+    process, address = started(folder / "cascade.h5", "--over", folder / "branches.h5")
     try:
-        bare, token = address.split("?")
-        assert token.startswith("token=")
-        for refused in (bare, bare + "?token=wrong"):
-            with pytest.raises(urllib.error.HTTPError) as error:
-                urllib.request.urlopen(refused)
-            assert error.value.code == 403
-        assert urllib.request.urlopen(address).status == 200
-        assert connected(bare, token) == 101
-        assert connected(bare, "token=wrong") in (401, 403)
-        assert connected(bare, token, origin="http://elsewhere.example") == 403
+        ask_for_the_token(address)
+        assert b"jaxlib" not in maps_of(process)
     finally:
-        ended(process)
+        assert ended(process) == 0
+
+
+def ask_for_the_token(address):
+    bare, token = address.split("?")
+    assert token.startswith("token=")
+    for refused in (bare, bare + "?token=wrong"):
+        with pytest.raises(urllib.error.HTTPError) as error:
+            urllib.request.urlopen(refused)
+        assert error.value.code == 403
+    assert urllib.request.urlopen(address).status == 200
+    assert connected(bare, token) == 101
+    assert connected(bare, "token=wrong") in (401, 403)
+    assert connected(bare, token, origin="http://elsewhere.example") == 403
 
 
 def connected(address, query, origin=None):

@@ -17,7 +17,7 @@ from jaxnh.explorer import recording, tiled_plane
 from jaxnh.explorer.lane_blocks import lane_blocks, merge_blocks
 from jaxnh.explorer.raster import PlaneEdges, plane_raster
 from jaxnh.explorer.recording import open_recording, source_of
-from jaxnh.explorer.tiled_plane import CHAOS
+from jaxnh.explorer.tiled_plane import CHAOS, TiledPlane
 from jaxnh.plotting.pixels import flag_pixels
 from sweeps.timing.explore_tiles import make_chart
 from tests.helpers.hand_made_results import dataset, tree
@@ -248,3 +248,56 @@ def test_overviews_that_cannot_be_kept_beside_go_with_the_program(tmp_path):
         assert picture.words == "64 × 64 lanes, 4 × 4 a pixel; 100% of the pixels are mixed"
         assert len(list(source.passes(source.first))) == 1
     assert sorted(each.name for each in tmp_path.iterdir()) == ["plane.h5", "plane.h5.overviews"]
+
+
+class VirtualPeriods(xr.backends.BackendArray):
+    """10,000 × 10,000 lanes that are nowhere: 1 where both numbers of a lane are even, 2 elsewhere; counts what is read."""
+
+    def __init__(self):
+        self.shape, self.dtype, self.read = (10_000, 10_000), np.dtype(np.int64), 0
+
+    def __getitem__(self, key):
+        every = xr.core.indexing.IndexingSupport.OUTER
+        return xr.core.indexing.explicit_indexing_adapter(key, self.shape, every, self.lanes)
+
+    def lanes(self, key):
+        across, up = (np.arange(10_000)[part] for part in key)
+        values = np.where((np.add.outer(across % 2, 0 * up) == 0) & (np.add.outer(0 * across, up % 2) == 0), 1, 2)
+        self.read += values.size
+        return values
+
+
+@pytest.fixture
+def virtual():
+    lanes, about = VirtualPeriods(), {"panel": "integers", "panel_variables": "period", "axes": "b d"}
+    lazily = xr.Variable(("b", "d"), xr.core.indexing.LazilyIndexedArray(lanes), {"long_name": "least period"})
+    axis = np.linspace(0.0, 1.0, 10_000)
+    data = xr.Dataset({"period": lazily}, {"b": axis, "d": axis}, about)
+    return lanes, TiledPlane({"period": data}, ["period"], ("b", "d"), {"title": "Virtual"}, "nowhere", None)
+
+
+def test_of_a_hundred_million_lanes_a_zoom_and_a_click_read_few(virtual):
+    lanes, source = virtual
+    first = next(source.passes(source.first))
+    assert "of 10,000 × 10,000 lanes" in first.words
+    assert lanes.read < 2e6  # 128 rows
+    before = lanes.read
+    [picture] = source.passes(source.first.zoom(0.5, 0.52, (0.3, 0.32)))
+    assert picture.words == "200 × 200 lanes"
+    assert np.mean(picture.pixels.plane.values == 1) == 0.25
+    [_] = source.lane(source.first, {"b": 0.5, "d": 0.5})
+    assert lanes.read - before < 1e5
+
+
+@pytest.mark.slow  # all lanes are read once, some 10 s of processor
+def test_a_hundred_million_lanes_are_a_pyramid_of_blocks(virtual):
+    """Three of four lanes of each block of 2 × 2 and larger have period 2; views of all sizes have few pixels."""
+    _, source = virtual
+    *_, whole = source.passes(source.first)
+    assert whole.words == "10,000 × 10,000 lanes, 16 × 16 a pixel; 100% of the pixels are mixed"
+    assert np.all(whole.pixels.plane.values == 2)
+    [part] = source.passes(source.first.zoom(0.2, 0.7, (0.1, 0.6)))
+    assert part.words.startswith("5,000 × 5,000 lanes, 8 × 8 a pixel")
+    assert np.all(part.pixels.plane.values == 2)
+    for picture in (whole, part):
+        assert max(picture.raster.cells.shape) <= tiled_plane.MOST_CELLS

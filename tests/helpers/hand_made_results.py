@@ -245,3 +245,133 @@ def window_rows():
     variables["begin_kind"] = (("window",), np.array([2, 0, 0]), "kind of the begin", "1", flags)
     variables["end_kind"] = (("window",), np.array([5, 5, 3]), "kind of the end", "1", flags)
     return dataset({}, variables, panel="windows", panel_variables="period", along="b")
+
+
+def logistic_atlas():
+    """An atlas of x → (b + d) x (1 − x) over b and d: at b + d = 3 the orbit of period 1 doubles, at x = 2/3.
+
+    Beside it a chart of periods, rotation numbers that are locked to a half where the period is two, and shares of
+    one attractor, or two below d = 0.15.
+    """
+    b, d, rows = np.linspace(2.5, 3.3, 9), np.linspace(0.0, 0.4, 5), np.array([0.0, 0.4])
+    axes = {"b": (b, "coupling b"), "d": (d, "depth d")}
+    doubled = b[:, None] + d > 3.0
+    along = np.linspace(2.5, 3.3, 17)
+    point = 1 - 1 / (along + rows[:, None])
+    flags = {"flag_values": np.arange(2), "flag_meanings": "fold period_doubling"}
+    kinds = {"flag_values": np.arange(2), "flag_meanings": "locked unlocked"}
+    motions = {"flag_values": np.array([-1, 0]), "flag_meanings": "absent periodic"}
+    ends = {"flag_values": np.arange(2), "flag_meanings": "range period_doubling"}
+    row = ("number of the row", "1")
+    depth = np.linspace(0.0, 0.4, 9)
+    numbers = {"b": 3.0 - depth, "d": depth}
+    curve = {name: (("curve", "point"), values[None], name, "1") for name, values in numbers.items()}
+    curve |= {f"{name}_error": (("curve", "point"), 0 * depth[None], f"error of {name}", "1") for name in numbers}
+    fraction = np.stack([np.where(d < 0.15, 0.6, 1.0), np.where(d < 0.15, 0.4, 0.0)], axis=-1)
+    fraction = np.broadcast_to(fraction, (9, 5, 2))
+    window = {"first": along[:1], "last": along[-1:], "begin": [np.nan], "end": [3.0], "limit": [np.nan]}
+    groups = {
+        "period": dataset(
+            axes,
+            {
+                "period": (("b", "d"), np.where(doubled, 2, 1), "least period", "1"),
+                "multiplier": (("b", "d"), 0.5 + 0.0 * doubled, "largest multiplier", "1"),
+                "status": (("b", "d"), 0 * doubled, "status", "1"),
+            },
+        ),
+        "rotation": dataset(
+            axes,
+            {
+                "rotation": (("b", "d"), np.where(doubled, 0.5, 0.0), "rotation number", "1"),
+                "rotation_error": (("b", "d"), 0.0 * doubled, "error", "1"),
+                "kind": (("b", "d"), 0 * doubled, "kind of rotation", "1", kinds),
+                "numerator": (("b", "d"), np.where(doubled, 1, 0), "numerator", "1"),
+                "denominator": (("b", "d"), np.where(doubled, 2, 1), "denominator", "1"),
+            },
+        ),
+        "attractors": dataset(
+            axes,
+            {
+                "fraction": (("b", "d", "attractor"), fraction, "share", "1"),
+                "fraction_low": (("b", "d", "attractor"), fraction - 0.1, "share", "1"),
+                "fraction_high": (("b", "d", "attractor"), fraction + 0.1, "share", "1"),
+                "kind": (("b", "d", "attractor"), np.where(fraction > 0, 0, -1), "kind", "1", motions),
+                "period": (("b", "d", "attractor"), np.where(fraction > 0, 1, 0), "period", "periods"),
+                "x1_points": (("b", "d", "attractor", "point"), fraction[..., None], WORDS["x1"], "1"),
+            },
+        ).assign_coords(attractor=np.arange(1, 3)),
+        "branches": dataset(
+            {},
+            {
+                "b": (("branch", "point"), np.tile(along, (2, 1)), "coupling b", "1"),
+                "x1_points": (("branch", "point", "iterate"), point[..., None], WORDS["x1"], "1"),
+                "stable": (("branch", "point"), (along + rows[:, None] < 3).astype(np.int8), "attracts", "1"),
+                "period": (("branch",), np.ones(2, int), "period", "periods"),
+                "row": (("branch",), np.arange(2), *row),
+                "d": (("branch",), rows, "depth d", "1"),
+            },
+            rows="d",
+        ),
+        "bifurcations": dataset(
+            {},
+            {
+                "b": (("bifurcation",), 3.0 - rows, "coupling b", "1"),
+                "b_error": (("bifurcation",), 0 * rows, "error of b", "1"),
+                "x1_points": (("bifurcation", "iterate"), np.full((2, 1), 2 / 3), WORDS["x1"], "1"),
+                "kind": (("bifurcation",), np.ones(2, int), "kind of bifurcation", "1", flags),
+                "criticality": (("bifurcation",), np.ones(2, int), "criticality", "1"),
+                "branch": (("bifurcation",), np.arange(2), "number of the branch", "1"),
+                "curve": (("bifurcation",), np.zeros(2, int), "number of the curve", "1"),
+                "row": (("bifurcation",), np.arange(2), *row),
+                "d": (("bifurcation",), rows, "depth d", "1"),
+            },
+            rows="d",
+        ),
+        "windows": dataset(
+            {},
+            {
+                **{name: (("window",), np.array(values), name, "1") for name, values in window.items()},
+                "crisis": (("window",), np.array([np.nan]), "crisis", "1"),
+                "period": (("window",), np.ones(1, int), "period", "periods"),
+                "begin_kind": (("window",), np.zeros(1, int), "kind of the begin", "1", ends),
+                "end_kind": (("window",), np.ones(1, int), "kind of the end", "1", ends),
+                "b": (("searched",), np.array([2.5, 3.3]), "coupling b", "1"),
+                "row": (("window",), np.zeros(1, int), *row),
+                "d": (("window",), rows[:1], "depth d", "1"),
+            },
+            rows="d",
+        ),
+        "curves": dataset(
+            {},
+            {
+                **curve,
+                "kind": (("curve",), np.ones(1, int), "kind of bifurcation", "1", flags),
+                "period": (("curve",), np.ones(1, int), "period", "periods"),
+            },
+        ),
+        "codimension_two": dataset(
+            {},
+            {
+                **{name: (("codimension_two",), values[4:5], name, "1") for name, values in numbers.items()},
+                **{f"{name}_error": (("codimension_two",), np.zeros(1), "error", "1") for name in numbers},
+                "kind": (("codimension_two",), np.zeros(1, int), "kind", "1", flags),
+                "curve": (("codimension_two",), np.zeros(1, int), "number of the curve", "1"),
+            },
+        ),
+        "curve_orbits": dataset(
+            {}, {"x1_points": (("curve", "point", "iterate"), np.full((1, 9, 1), 2 / 3), WORDS["x1"], "1")}
+        ),
+        "atlas": dataset(
+            {},
+            {
+                "d": (("row",), rows, "depth d", "1"),
+                "curves": ((), np.int64(1), "number of curves", "1"),
+                "cut": ((), np.int64(0), "number of curves that go on", "1"),
+                "not_located": ((), np.int64(0), "number that could not be located", "1"),
+                "spacing": ((), 0.1, "largest distance of lanes", "1"),
+            },
+            over="b d",
+            complete_to="orbits of periods up to 1 that lanes settle on after 16 periods, at d = 0, 0.4",
+        ),
+    }
+    return tree(groups, axes="b d")

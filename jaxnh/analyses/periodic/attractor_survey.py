@@ -25,16 +25,15 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     orbits,
     section_distance,
 )
+from jaxnh.analyses.periodic.recurrences import CLOSE, Recurrence, recurrences
 from jaxnh.analyses.section_points import at_rest, points_and_end, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import find_doubled
-from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
-_CLOSE = 0.03  # sizes of the motion: strobe points nearer than this may be one point of a slowly converging orbit
 _SMALLEST = 1e-4  # of the size at the start: branches, followed to 1e-9 of a size, then are so to hundreds of roundings
 _NEARLY_NEUTRAL = 1e-3  # |1 − μ| below which an orbit of even period may be one that has just been born in a doubling
 # Lanes are looked at first after this share of the transient, for orbits no longer than this.
@@ -202,7 +201,7 @@ def _survey_at(
     with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
         points, end = points_and_end(batch, lanes, states_at(batch, lanes, u, tile), wait, 2 * limit, tile)
     size = np.ones_like(u) if batch.chart.dimensionless else motion_sizes(batch, lanes, points, end)
-    recurs = _recurrences(batch.chart, points, size, limit, least, only_doublings)
+    recurs = recurrences(batch.chart, lanes, points, size, Recurrence(limit, least, only_doublings))
     period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
     failed |= ~np.all(np.isfinite(points), axis=(1, 2))
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
@@ -212,7 +211,7 @@ def _survey_at(
         first, last = last + 1, 2 * last + 1
         with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
             orbit = orbits(lanes, strobe, point[lane], select(p, lane), n, size[lane])
-        near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * _CLOSE
+        near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
         here, least_of = np.unique(lane[settled], return_index=True)
@@ -234,40 +233,6 @@ def _survey_at(
     return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, failed, size), points[:, -1])
 
 
-def _recurrences(
-    chart: Chart,
-    points: Float[np.ndarray, "lanes points d"],
-    size: Float[np.ndarray, "lanes d"],
-    limit: int,
-    least: int,
-    only_doublings: bool,
-) -> Bool[np.ndarray, "periods lanes"]:
-    """Return which n up to a limit may be the period of a lane: multiples of the least after which points recur.
-
-    Newton decides: points that nearly recur do so too where a lane is still on its way. Just after a doubling an orbit
-    and its daughter cannot be told apart; points of other multiples of the least are apart from each other, and recur
-    twice as near after the whole period. Bands of chaos do so after no multiple.
-    """
-    possible = np.zeros((limit + 1, len(points)), np.bool_)
-    base, nearest = np.zeros(len(points), int), np.zeros(len(points))
-    for n in range(least, limit + 1):
-        lanes = np.flatnonzero((base == 0) | (n % np.maximum(base, 1) == 0))
-        near = section_distance(chart, points[lanes, n], points[lanes, 0], size[lanes]) < _CLOSE
-        lanes = lanes[near]  # most do not recur
-        if not len(lanes):
-            continue
-        ahead, behind = points[lanes, n : n + limit], points[lanes, :limit]
-        distance = np.max(section_distance(chart, ahead, behind, size[lanes, None]), axis=1)
-        lanes, distance = lanes[distance < _CLOSE], distance[distance < _CLOSE]
-        first = base[lanes] == 0
-        base[lanes[first]], nearest[lanes[first]] = n, distance[first]
-        ratio = n // base[lanes]
-        doubled = ratio & (ratio - 1) == 0
-        nearer = distance < 0.5 * nearest[lanes]
-        possible[n, lanes] = doubled | (nearer & (not only_doublings))
-    return possible
-
-
 def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, survey: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
     period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in survey)
@@ -277,7 +242,7 @@ def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, surv
         born = np.flatnonzero(near & (period == n))
         half = images(lanes, strobe, select(p, born), np.full(len(born), n // 2, np.int32))
         orbit = find_doubled(half, u[born], size[born], chart.wrap)
-        settled = (orbit.residual < CONVERGED) & (section_distance(chart, orbit.u, u[born], size[born]) < 2 * _CLOSE)
+        settled = (orbit.residual < CONVERGED) & (section_distance(chart, orbit.u, u[born], size[born]) < 2 * CLOSE)
         part = born[settled]
         u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
         multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
