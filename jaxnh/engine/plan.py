@@ -190,6 +190,8 @@ def why_common_steps(experiment: Experiment, axes: Sequence[Axis], plan: Plan, r
     flow, own = experiment.flow(), [(a, options) for a, options in requested if a.independent(options)]
     if experiment.accuracy.steps or not flow.continuous:
         return "they are given"
+    if experiment.sweep.lanes == 1:
+        return "there is one lane"
     if isinstance(plan.solver, AdaptiveMethod):
         return "the solver chooses steps for every lane"
     if scheme_of(flow, plan.solver).stacked or any(axis.kind == "shared" for axis in axes):

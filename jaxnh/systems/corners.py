@@ -7,7 +7,7 @@ written anew as a function of (y, t, side), in which they read the side of their
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -25,7 +25,7 @@ from jaxnh.systems.straight_pieces import (
 )
 from jaxnh.systems.surface_probes import probe_surfaces
 from jaxnh.systems.tracing import KnownValue, Program, Slot, Step
-from jaxnh.systems.user_functions import pointwise
+from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL, pointwise
 
 _WITHOUT_SURFACE = ("floor", "ceil", "round", "rem", "argmax", "argmin", "sort", "reduce_max", "reduce_min")
 _CONTINUOUS = ("abs", "max", "min", "clamp", "reduce_max", "reduce_min", "sort")
@@ -90,10 +90,18 @@ class PiecewiseField:
 
     def height(self, number: int, p: Mapping[str, Any], y: tuple[Any, ...], t: Any) -> Any:
         """Height of a state above a surface."""
-        above, below, element = self.surfaces[number]
-        values = self._values(p, y, t, self._program.needed([above, *([] if below is None else [below])]))
-        value = _value(above, values) if below is None else _value(above, values) - _value(below, values)
-        return jnp.ravel(value)[element] if jnp.ndim(value) else value
+        return self._heights([self.surfaces[number]], p, y, t)[0]
+
+    def heights(self, p: Mapping[str, Any], y: tuple[Any, ...], t: Any) -> tuple[Any, ...]:
+        """Heights of a state above all surfaces; what they share is computed once."""
+        return self._heights(self.surfaces, p, y, t)
+
+    def _heights(
+        self, surfaces: Sequence[Surface], p: Mapping[str, Any], y: tuple[Any, ...], t: Any
+    ) -> tuple[Any, ...]:
+        reads = [read for surface in surfaces for read in surface[:2] if read is not None]
+        values = self._values(p, y, t, self._program.needed(reads))
+        return tuple(_height(surface, values) for surface in surfaces)
 
     # ---- surfaces
 
@@ -178,7 +186,8 @@ class PiecewiseField:
         equal are the least of all in a quarter of all states.
         """
         draws, count = np.random.default_rng(0), len(self.surfaces)
-        heights, rates = jax.jit(self._heights_with_slopes), jax.jit(pointwise(self._rates_with_time))
+        heights = jax.jit(self._heights_with_slopes, compiler_options=COMPILED_FOR_ONE_CALL)
+        rates = jax.jit(pointwise(self._rates_with_time), compiler_options=COMPILED_FOR_ONE_CALL)
         reached, *seen = np.zeros((4, count), bool)
         for _ in range(_ROUNDS):
             shape = (_PROBES, count)
@@ -200,16 +209,14 @@ class PiecewiseField:
     def _heights_with_slopes(self, p: Mapping[str, Any], z: tuple[Any, ...]) -> tuple[Any, list[Any]]:
         """Heights above all surfaces at (y, t) of any shape, and their derivatives in each of these numbers."""
 
-        @pointwise
-        def with_slopes(p: Any, z: Any) -> Any:
-            def of(*z: Any) -> list[Any]:
-                return [self.height(k, p, z[:-1], z[-1]) for k in range(len(self.surfaces))]
+        def of_one(p: Mapping[str, Any], z: Any) -> tuple[Any, Any]:
+            heights, change = jax.linearize(lambda z: jnp.stack(self.heights(p, tuple(z[:-1]), z[-1])), z)
+            return heights, jax.vmap(change)(jnp.eye(len(z)))
 
-            units = [[jnp.float64(i == j) for i in range(len(z))] for j in range(len(z))]
-            return of(*z), [jax.jvp(of, z, tuple(unit))[1] for unit in units]
-
-        height, slopes = with_slopes(p, z)
-        return jnp.stack(height), [jnp.stack(slope) for slope in slopes]
+        shape, count = jnp.shape(z[0]), len(self.surfaces)
+        numbers = {name: jnp.ravel(value) for name, value in p.items()}
+        height, slopes = jax.vmap(of_one)(numbers, jnp.stack([jnp.ravel(x) for x in z], axis=-1))
+        return height.T.reshape(count, *shape), [slopes[:, j].T.reshape(count, *shape) for j in range(len(z))]
 
     def _rates_with_time(self, p: Mapping[str, Any], z: tuple[Any, ...], sides: tuple[Any, ...]) -> list[Any]:
         return list(self.rates(p, z[:-1], z[-1], sides))
@@ -284,6 +291,7 @@ def with_switches(define: Callable[..., Definition], parameters: Mapping[str, fl
                 {"on": pointwise(lambda y, t, k=k: field.height(k, p, y, t)), "sliding": bool(slides)}
                 for k, slides in enumerate(field.attracts)
             ),
+            "heights": pointwise(lambda y, t: field.heights(p, y, t)),
         }
 
     return with_switches
@@ -342,6 +350,12 @@ def names_without_surface(function: Callable[..., Any], *arguments: Any) -> tupl
         names += [each.primitive.name for each in within if each.primitive.name in OPERANDS and is_real(each)]
         names += [each.primitive.name for each in (step.equation, *within) if each.primitive.name in _WITHOUT_SURFACE]
     return tuple(dict.fromkeys(name.removeprefix("reduce_") for name in names))
+
+
+def _height(surface: Surface, values: Mapping[Slot, Any]) -> Any:
+    above, below, element = surface
+    value = _value(above, values) if below is None else _value(above, values) - _value(below, values)
+    return jnp.ravel(value)[element] if jnp.ndim(value) else value
 
 
 def _value(read: Read, values: Mapping[Slot, Any]) -> Any:

@@ -107,7 +107,10 @@ class PiecewiseSmooth(FirstOrder):
         definition = self.definition(p)
         walls = [jump["when"](y.y, t) for jump in definition.get("jumps", ())]
         walls = [-wall if way == "down" else wall for wall, way in zip(walls, self.jumps, strict=True)]
-        surfaces = [switch["on"](y.y, t) for switch in definition.get("switches", ())]
+        if self.many_surfaces and "heights" in definition:
+            surfaces = definition["heights"](y.y, t)
+        else:
+            surfaces = [switch["on"](y.y, t) for switch in definition.get("switches", ())]
         return tuple(jnp.asarray(height, jnp.float64) for height in (*walls, *surfaces))
 
     def jumped(
@@ -242,7 +245,7 @@ def piecewise_smooth(
             one of `DIRECTIONS`, and `then`, (y, t) to the d numbers after the jump; and `switches`, each a mapping of
             `on`, the height of a surface. Motions may rest on the wall of a jump that says `rest`, and slide along the
             surface of a switch that says `sliding`. With switches `rhs` is a function of (y, t, side), side a number ±1
-            for each.
+            for each. Of many switches `heights`, a function of (y, t), may give all heights at once.
         parameters, of_lanes: as of `first_order`.
     """
     definition = define(**parameters)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,13 +14,15 @@ from hypothesis import strategies as st
 import jaxnh
 from jaxnh.analyses.exponents.tangent_growth import advance, average, begin
 from jaxnh.engine.accuracy.calibration import Plan
-from jaxnh.engine.accuracy.cost_model import lanes_a_tile, quickest_form
+from jaxnh.engine.accuracy.cost_model import is_short, lanes_a_tile, quickest_form
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.plan import in_quickest_form
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SOLVERS, SPLITTINGS, verner9
 from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.systems.corners import with_switches
+from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.lorenz import known_flow
 
 FLOW = known_flow()
@@ -51,6 +54,22 @@ def test_few_steps_are_in_a_loop_and_many_are_written_out():
     assert quickest_form(verner9, FLOW.system, 1e4).rolled
     assert not quickest_form(verner9, FLOW.system, 1e9).rolled
     assert quickest_form(SPLITTINGS["processed6"], FLOW.system, 1e4) is SPLITTINGS["processed6"]
+
+
+def test_solvers_are_compared_where_a_run_is_worth_the_compiling():
+    """A map whose steps end at twenty corners takes 3 s of processor to compile, one of Lorenz's flow 0.2 s."""
+
+    def corners(a=1.0):
+        def rhs(y, t):
+            return (a + sum(jnp.abs(y[0] - k) for k in range(20)), y[0] - y[1], y[1] - y[2])
+
+        return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+
+    cornered = piecewise_smooth(with_switches(corners, {"a": 1.0}), {"a": 1.0})
+    assert cornered.chart.dimension == FLOW.system.chart.dimension
+    shortest = [min(n for n in np.logspace(5, 10, 51) if not is_short(verner9, f, n)) for f in (FLOW.system, cornered)]
+    assert shortest[0] < 2e7  # half a second of a run
+    assert 10.0 * shortest[0] < shortest[1] < 1e9
 
 
 @given(st.integers(1, 10**7))

@@ -129,6 +129,14 @@ def test_neighbours_share_the_finest_class_where_the_text_is_too_long():
 # ---- plans
 
 
+def test_one_lane_has_no_others_to_take_fewer_steps_than(any_size):
+    """A sweep of one lane is not looked at: nothing could come of it, and a program would be compiled for it."""
+    for values, why in (([1.0], "there is one lane"), ([1.0, 2.0], "")):
+        experiment = experiment_of("time", np.array(values))
+        plan = Plan(SOLVERS["verner9"], 64, False, TARGET)
+        assert planning.why_common_steps(experiment, experiment.axes, plan, experiment.requested()) == why
+
+
 def heyoka_periods(kind, values, states, times):
     """States (lanes, 2) so long a time after their own, by heyoka's Taylor series."""
     x, v, drive = *hy.make_vars("x", "v"), 0.3 * hy.cos(2 * np.pi * hy.time) if kind == "clock" else 0.0

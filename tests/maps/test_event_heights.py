@@ -52,6 +52,29 @@ def system():
     return made
 
 
+def test_what_many_heights_share_is_computed_once():
+    """Levels k/14 of sin y are crossed by one sine, and heights are those of the surfaces one by one."""
+
+    def steps(a=1.0):
+        def rhs(y, t):
+            s = jnp.sin(a * y[0])
+            return (2.0 + sum(jnp.abs(s - k / 14.0) for k in range(13)),)
+
+        return {"rhs": rhs, "coordinates": ("y",)}
+
+    define = with_switches(steps, {"a": 1.0})
+    made = piecewise_smooth(define, {"a": 1.0}, ("a",))
+    state = made.start({"y": 0.3})
+
+    def heights(state):
+        return made.heights(0.0, state, {"a": 1.0})
+
+    each = [switch["on"](state.y, 0.0) for switch in define(a=1.0)["switches"]]
+    np.testing.assert_array_equal(heights(state), each)
+    assert sorted(map(abs, each)) == pytest.approx(sorted(abs(np.sin(0.3) - np.arange(13) / 14.0)), abs=1e-16)
+    assert str(jax.make_jaxpr(heights)(state)).count(" sin ") == 1
+
+
 @pytest.mark.parametrize("solver", [verner9, in_loop(verner9)], ids=["written", "loop"])
 def test_many_corners(system, solver):
     """State, tangents in the state and in a parameter, and volume; 24 steps of order 9, each across part of a piece.

@@ -12,6 +12,7 @@ from dataclasses import replace
 from jaxnh.maps.general_flow import time_split
 from jaxnh.solvers import Solver, WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 LOOP_OVER_WRITTEN_OUT = 4.0
 """Time of a step with its stages in a loop over that of one written out, at a full tile."""
@@ -20,6 +21,9 @@ _COMPILING = 8e-4  # seconds to trace and compile an equation of a step that is 
 _LOOPED = 2e-10  # seconds more for a coordinate at a stage of a lane-step, where the stages are a loop
 _RATE = 1e-9  # seconds for a coordinate at a stage of a lane-step in a loop
 _WORTH_COMPARING = 0.5  # seconds of a run: solvers differ by a third of it, and each compiles for a fifth of a second
+_COMPILING_EVENTS = 0.012  # seconds to trace and compile an equation of a map whose steps end at events, in a loop
+_COMPARED = 2  # solvers beside the reference, each of which is compiled to be compared
+_GAIN = 1 / 3  # of a run: most that another solver saves
 _WORTH_CLASSES = 10.0  # seconds of a run: a look at all lanes takes some, and programs of more tiles a second each
 _TILES = ((16, 8), (128, 32), (512, 128))  # lanes of a sweep up to which a tile has so many
 _LARGEST_TILE = 256
@@ -47,7 +51,10 @@ def quickest_form(solver: Solver, flow: Flow, lane_steps: float) -> Solver:
 
 def is_short(solver: Solver, flow: Flow, lane_steps: float) -> bool:
     """Return whether a job is done before another solver would be compiled and measured, and its gain begin."""
-    return _RATE * solver.stages * flow.chart.dimension * lane_steps < _WORTH_COMPARING
+    worth = _WORTH_COMPARING
+    if isinstance(flow, PiecewiseSmooth):
+        worth = max(worth, _COMPARED * _COMPILING_EVENTS * time_split(flow).size / _GAIN)
+    return _RATE * solver.stages * flow.chart.dimension * lane_steps < worth
 
 
 def is_worth_classes(solver: Solver, flow: Flow, lane_steps: float) -> bool:
