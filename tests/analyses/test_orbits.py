@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.analyses.orbits import orbits as all_orbits
+from jaxnh.analyses.orbits import search as orbit_search
 from jaxnh.analyses.orbits.entropy import topological_entropy
 from jaxnh.analyses.orbits.missing import missing_orbits
 from jaxnh.exceptions import InputError
@@ -151,6 +153,20 @@ def test_the_interval_of_missing_orbits_covers_their_number(total):
     assert np.mean(covered) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 1000)
 
 
+@pytest.mark.parametrize(("highest", "share"), [(0.3, 0.5), (0.9, 0.8)])
+def test_the_interval_of_missing_orbits_where_many_are(highest, share):
+    """Four rounds over the 30 words of eight letters meet so large a share of them, with chances down to 0.05."""
+    draws, chances = np.random.default_rng(4), np.linspace(0.05, highest, 30)
+    covered, known = list[bool](), list[int]()
+    for _ in range(2000):
+        met = draws.binomial(4, chances)
+        of = missing_orbits(met[met > 0], 4)
+        covered.append(of.low <= np.sum(met == 0) <= of.high)
+        known.append(int(np.sum(met > 0)))
+    assert np.mean(known) / 30 == pytest.approx(share, abs=0.06)
+    assert np.mean(covered) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 2000)
+
+
 def test_orbits_known_from_elsewhere_are_not_missing():
     met = np.array([1, 1, 1, 2, 2])
     alone, beside = missing_orbits(met, 4), missing_orbits(np.append(met, [0, 0]), 4)
@@ -202,6 +218,24 @@ def test_short_orbits_of_lorenz():
     data, counts = groups["orbits"], groups["orbit_counts"]
     assert counts["number"].to_numpy().tolist() == [0, 1]
     assert abs(float(data["time"][0]) - 1.558652210716) < float(data["time_error"][0]) + 1e-12
+
+
+@pytest.mark.slow
+def test_searches_of_lorenz_that_are_stopped_early(monkeypatch):
+    """Of rounds of a quarter of the starts, half to all words of six to eight letters; intervals cover 95 of 100.
+
+    Each run is alone: orbits of neighbours are not tried.
+    """
+    monkeypatch.setattr(orbit_search, "WINDOWS", 4)
+    monkeypatch.setattr(all_orbits, "search_neighbours", lambda known, *_: known)
+    truth, starts = np.array([0, *TWO_LETTERS[1:8]]), np.random.default_rng(7).uniform(0.5, 15.0, 200)
+    options = jaxnh.Orbits(max_period=8, transient=32, rounds=4)
+    counts = lorenz_section(1e-5).groups({"orbits": options}, x=starts)["orbit_counts"]
+    missing = truth - counts["number"].to_numpy()
+    assert np.all(missing >= 0)
+    assert 0.4 < missing[:, 7].mean() / truth[7] < 0.5
+    covered = (counts["missing_low"].to_numpy() <= missing) & (missing <= counts["missing_high"].to_numpy())
+    assert np.all(covered.mean(axis=0) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 200))
 
 
 @pytest.mark.slow

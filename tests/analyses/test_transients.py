@@ -89,6 +89,114 @@ def test_points_by_stagger_and_step():
     assert session.run(options.model_copy(update={"saddle_points": 0}), repetition=[0.0]).sizes["point"] == 1024
 
 
+def two_tents(left=3.0, right=5.0, repetition=0.0):
+    """In each coordinate a tent map: two directions grow, and a motion has left where either coordinate has."""
+    del repetition
+
+    def tent(x, slope):
+        return jnp.where(x < 0.5, slope * x, slope * (1.0 - x))
+
+    return {"map": lambda y: (tent(y[0], left), tent(y[1], right)), "coordinates": ("x", "y")}
+
+
+def gaps_of_tents(points, slope, order):
+    """Number of points that a tent map of this slope takes out of (0, 1) within so many iterates more."""
+    met = 0
+    for _ in range(order):
+        met += np.sum((points > 1.0 / slope) & (points < 1.0 - 1.0 / slope))
+        points = slope * np.minimum(points, 1.0 - points)
+    return met
+
+
+def test_points_of_a_saddle_with_two_unstable_directions():
+    """Of 64 starts none stays for five iterates, and all points stay for eight, of slopes that differ as well."""
+    options = jaxnh.Transients(n_starts=64, box={"x": (0.0, 1.0), "y": (0.0, 1.0)}, saddle_points=64)
+    data = jaxnh.Session(two_tents, start={"x": 0.3, "y": 0.2}).run(options, repetition=[0.0])
+    assert data["lifetime"].max() <= 5
+    assert data["x_points"].shape == (1, 64)
+    for name, slope in (("x_points", 3.0), ("y_points", 5.0)):
+        points = data[name].to_numpy()
+        assert np.isfinite(points).all()
+        assert gaps_of_tents(points, slope, 7) == 0
+
+
+@pytest.mark.slow
+def test_a_saddle_with_two_unstable_directions():
+    """κ = 2 ln 1.1, λ = ln 2.2 twice, D = 2 ln 2/ln 2.2, that of the product of two sets of Cantor's kind."""
+    options = jaxnh.Transients(n_starts=2048, box={"x": (0.0, 1.0), "y": (0.0, 1.0)})
+    session = jaxnh.Session(two_tents, start={"x": 0.3, "y": 0.2})
+    data = session.run(options, left=2.2, right=2.2, repetition=np.arange(100.0))
+    assert covers(data, "escape_rate", 2 * np.log(1.1)) >= LEAST
+    assert np.all(np.abs(data["saddle_exponents"] - np.log(2.2)) <= data["saddle_exponents_error"] + 1e-12)
+    assert covers(data, "saddle_dimension", 2 * np.log(2) / np.log(2.2)) >= LEAST
+
+
+def four_rectangles(repetition=0.0):
+    """Four of 0.45 by 0.4, no two of them side by side, each stretched over the square.
+
+    The saddle is what contractions by 0.45 and 0.4 keep. Its shadow along y is full, as no two words of the shifts 0,
+    0.05, 0.5 and 0.55 meet (a polynomial of whole coefficients with the root 9/20 has one that 20 divides; Hochman, Ann.
+    Math. 180 (2014) 773), so that D = 1 + (ln 4 + ln 0.45)/ln 2.5 (Ledrappier and Young, Ann. Math. 122 (1985) 540).
+    """
+    del repetition
+
+    def image(s):
+        x, y = s
+        upper = y > 0.5
+        x = x - jnp.where(upper, 0.05, 0.0)
+        return (x - jnp.where(x > 0.475, 0.5, 0.0)) / 0.45, (y - jnp.where(upper, 0.6, 0.0)) / 0.4
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+@pytest.mark.slow
+def test_a_saddle_whose_directions_grow_at_two_rates():
+    """κ = −ln 0.72, λ = ln 2.5 and −ln 0.45: the slower direction is filled, and the faster one in part."""
+    options = jaxnh.Transients(n_starts=2048, box={"x": (0.0, 1.0), "y": (0.0, 1.0)}, saddle_points=64)
+    data = jaxnh.Session(four_rectangles, start={"x": 0.3, "y": 0.2}).run(options, repetition=np.arange(100.0))
+    assert covers(data, "escape_rate", -np.log(0.72)) >= LEAST
+    exact = np.array([np.log(2.5), -np.log(0.45)])
+    assert np.all(np.abs(data["saddle_exponents"] - exact) <= data["saddle_exponents_error"] + 1e-12)
+    assert covers(data, "saddle_dimension", 1.0 + (np.log(4.0) + np.log(0.45)) / np.log(2.5)) >= LEAST
+    x, y = data["x_points"].to_numpy(), data["y_points"].to_numpy()
+    for _ in range(8):
+        upper = y > 0.5
+        x = x - np.where(upper, 0.05, 0.0)
+        right = x > 0.475
+        x, y = (x - np.where(right, 0.5, 0.0)) / 0.45, (y - np.where(upper, 0.6, 0.0)) / 0.4
+        assert np.all((x >= 0.0) & (x <= 1.0) & (y >= 0.0) & (y <= 1.0))
+
+
+def repelling_cycle(fast=0.05, slow=0.03, repetition=0.0):
+    """The unit circle, from which motions part along x and along y, at two rates: 2π times these in a turn."""
+    del repetition
+
+    def rhs(s, t):
+        u, v, x, y = s
+        inward = 1.0 - u**2 - v**2
+        return inward * u - v, inward * v + u, fast * x, slow * y
+
+    return {"rhs": rhs, "coordinates": ("u", "v", "x", "y"), "time_unit": 2 * jnp.pi}
+
+
+@pytest.mark.slow
+def test_a_saddle_on_a_section():
+    """κ is the sum of both rates, as the share of motions that stay is the product of two; D = 0; x and y come to 0."""
+    box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
+    options = jaxnh.Transients(n_starts=1024, box=box, saddle_points=64, transient=0)
+    session = jaxnh.Session(repelling_cycle, start={"u": 1.0, "v": -0.1, "x": 0.3, "y": 0.2}, target=1e-7)
+    data = session.on(coordinate="v", value=0.0, direction="up").run(options, repetition=np.arange(40.0))
+    turn, least = 2 * np.pi, 0.95 - 3 * np.sqrt(0.95 * 0.05 / 40)
+    assert covers(data, "escape_rate", 0.08 * turn) >= least
+    exact = turn * np.array([0.05, 0.03, -2.0])
+    assert np.all(np.abs(data["saddle_exponents"] - exact) <= data["saddle_exponents_error"] + 1e-12)
+    assert covers(data, "saddle_dimension", 0.0) >= least
+    # They stay for so many turns that the faster one has grown by e¹⁶; half of it they were not moved in.
+    assert np.abs(data["x_points"]).max() < np.exp(-8.0)
+    assert np.abs(data["y_points"]).max() < np.exp(-8.0 * 0.6)
+    assert np.abs(data["u_points"] - 1.0).max() < 1e-6
+
+
 @pytest.mark.slow
 def test_an_open_map_of_two_slopes():
     """κ = −ln(1/a + 1/c); branches are taken with weights 1/a and 1/c, and so λ is a mean that scatters."""

@@ -40,11 +40,13 @@ class Saddle(NamedTuple):
         states: components (lanes, MOTIONS · POINTS), not numbers where there are fewer.
         exponents: Lyapunov exponents on it per period, largest first, (lanes, k).
         error: their errors at 95 %, from the scatter over motions and between two frames of each, (lanes, k).
+        growth: mean growth of a tangent vector per period, along motions however short, (lanes,).
     """
 
     states: LaneStates
     exponents: Float[np.ndarray, "lanes k"]
     error: Float[np.ndarray, "lanes k"]
+    growth: Float[np.ndarray, " lanes"]
 
 
 def longest(periods: Int[np.ndarray, "lanes starts"], count: int) -> Int[np.ndarray, "lanes count"]:
@@ -57,7 +59,8 @@ def longest(periods: Int[np.ndarray, "lanes starts"], count: int) -> Int[np.ndar
 def find_saddle(batch: LaneBatch, lanes: LaneRunner, periods: Int[np.ndarray, "lanes starts"]) -> Saddle:
     """Return the saddles that the motions of a batch, so many of each lane, stay near, from their lifetimes.
 
-    Of the motions that stay longest the middle of the life counts, a third as long as the shortest of them stays.
+    Of the motions that stay longest the middle of the life counts, a third as long as the shortest of them stays. Where
+    this stays too short for that, the whole life of each tells how tangent vectors grow, and no exponents.
     """
     count, starts = periods.shape
     motions = min(MOTIONS, starts)
@@ -65,11 +68,15 @@ def find_saddle(batch: LaneBatch, lanes: LaneRunner, periods: Int[np.ndarray, "l
     life = periods.ravel()[chosen]
     least = life.min(axis=1, keepdims=True)
     width = np.where(least >= _SHORTEST, np.minimum(least - 2 * (least // 3), POINTS), 0)
-    first, width = ((life - width) // 2).ravel(), np.broadcast_to(width, life.shape).ravel()
+    long = np.broadcast_to(width > 0, life.shape).ravel()
+    first = np.where(width > 0, (life - width) // 2, 0).ravel()
+    width = np.where(width > 0, width, life - 1).ravel()
     part = batch.take(chosen.ravel())
     states = lanes.record(part.strobe(), int((first + width).max()) + POINTS, (part.start, dict(part.p)))
     growth, rounding = _growth(part, lanes, states, first, width)
     growth = np.where(width[:, None, None] > 0, growth, np.nan).reshape(count, motions, *growth.shape[1:])
+    rough = np.ma.masked_invalid(growth[..., 0, 0]).mean(axis=1).filled(np.nan)
+    growth = np.where(long.reshape(count, motions)[..., None, None], growth, np.nan)
     mean, apart = growth[..., 0, :].mean(axis=1), np.abs(growth[..., 0, :] - growth[..., 1, :]).mean(axis=1)
     rounding = rounding.reshape(count, motions, -1).mean(axis=1)
     from scipy.special import stdtrit  # here, as it takes a tenth of a second to import
@@ -78,11 +85,11 @@ def find_saddle(batch: LaneBatch, lanes: LaneRunner, periods: Int[np.ndarray, "l
     error += _ALIGNMENT * apart + rounding + step_error(batch)
     hidden = rounding >= HIDDEN
     mean[hidden], error[hidden] = np.nan, np.nan
-    place, inside = first[:, None] + np.arange(POINTS), np.arange(POINTS) < width[:, None]
+    place, inside = first[:, None] + np.arange(POINTS), (np.arange(POINTS) < width[:, None]) & long[:, None]
     near = jax.tree.map(
         lambda leaf: np.where(inside, np.take_along_axis(leaf, place, axis=1), np.nan).reshape(count, -1), states
     )
-    return Saddle(near, mean, error)
+    return Saddle(near, mean, error, rough)
 
 
 def saddle_dimension(

@@ -3,8 +3,8 @@
 A point whose motion stays in the region for long enough is a point near the saddle, and is carried on by the map: a
 step. One whose motion leaves sooner is moved by small random vectors, even in the logarithm of their length, until the
 motion stays longer: a stagger (Sweet, Nusse and Yorke, Phys. Rev. Lett. 86 (2001) 2261). It needs no more than
-lifetimes, whatever the number of unstable directions, and few motions that stay long by themselves. Vectors are so
-short that the nearer half of what a point is to stay for is changed by none.
+lifetimes, whatever the number of unstable directions, and no motion that stays long by itself. Vectors are so
+short that the nearer half of the periods that a point stays for is changed by none.
 
 Which motions are met first is not what the natural measure says: parts of the saddle that motions leave soon afterwards
 are visited too often. So points are taken from here, and averages from elsewhere (`saddle`).
@@ -35,8 +35,10 @@ TRIES = 32
 _FURTHER = 12  # periods: lives longer than is wanted by more are followed no further
 _NEAR = 16.0  # points are e^−16 of the saddle's size from it, where motions stay for so long
 _SHORTEST = 2  # periods
-_LONGEST, _LEAST = 0.1, 1e-15  # of the saddle's size: lengths of vectors
-_ROUNDS = 64  # of tries, before an orbit is given up
+_LEAST = 1e-15  # of the saddle's size: length of vectors
+_MARGIN = 2.0  # vectors shorter by this power than what grows to the saddle's size while a point stays change nothing
+_MOST = 4096  # periods
+_ROUNDS = 256  # of tries, before an orbit is given up
 
 
 class _Walk(NamedTuple):
@@ -49,7 +51,7 @@ class _Walk(NamedTuple):
         least: periods that motions from their points stay, at least, (orbits,).
         walkers: orbits of a lane.
         size: extent of the saddle, (orbits, d).
-        longest: vector that points are moved by, in sizes, (orbits,).
+        growth: rate per period at which motions are taken to part, (orbits,).
         draws: random numbers of each lane.
     """
 
@@ -59,7 +61,7 @@ class _Walk(NamedTuple):
     least: Int[np.ndarray, " orbits"]
     walkers: int
     size: Float[np.ndarray, "orbits d"]
-    longest: Float[np.ndarray, " orbits"]
+    growth: Float[np.ndarray, " orbits"]
     draws: Sequence[np.random.Generator]
 
 
@@ -85,7 +87,7 @@ def saddle_orbits(
     lanes: LaneRunner,
     region: Box,
     periods: Int[np.ndarray, "lanes starts"],
-    exponent: Float[np.ndarray, " lanes"],
+    growth: Float[np.ndarray, " lanes"],
     count: int,
     seed: int,
 ) -> State:
@@ -94,22 +96,22 @@ def saddle_orbits(
     Args:
         batch: random starts, so many of each lane.
         periods: their lifetimes.
-        exponent: the largest on the saddle, or not a number, which says how long is long enough.
+        growth: rate per period at which motions part, which says how long is long enough; not above zero: as long as
+            the starts stay.
     """
     number, starts = periods.shape
     walkers = min(WALKERS, starts, count)
     chosen = longest(periods, walkers)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        enough = np.where(exponent > 0.0, np.ceil(_NEAR / exponent), np.inf)
-    stay = np.minimum(periods.ravel()[chosen].min(axis=1), enough)
-    stay = np.maximum(stay, _SHORTEST).astype(int)
-    reach = np.minimum(np.exp(-0.5 * stay * np.nan_to_num(exponent)), _LONGEST)
+    known = growth > 0.0
+    rate = np.where(known, growth, 0.0)
+    stay = np.where(known, np.ceil(_NEAR / np.where(known, growth, 1.0)), periods.ravel()[chosen].min(axis=1))
+    stay = np.clip(stay, _SHORTEST, _MOST).astype(int)
     least = np.repeat(stay, walkers)
     part = batch.take(chosen.ravel())
     size = _extent(part, lanes, least, walkers)
     draws = [np.random.default_rng((seed, place)) for place in part.places[::walkers].tolist()]
     each = -(-count // walkers)
-    walk = _Walk(part, lanes, region, least, walkers, size, np.repeat(reach, walkers), draws)
+    walk = _Walk(part, lanes, region, least, walkers, size, np.repeat(rate, walkers), draws)
     points = _follow(walk, each)
     flat = points.reshape(number, walkers * each, -1)[:, :count].reshape(number * count, -1)
     return select(states_at(batch, lanes, flat), np.arange(number * count).reshape(number, count))
@@ -149,7 +151,7 @@ def _follow(walk: _Walk, each: int) -> Float[np.ndarray, "orbits points d"]:
 def _stagger(walk: _Walk, which: Int[np.ndarray, " some"], now: _Positions) -> None:
     """Move points to ones that stay longer, in place, where one of the tries does."""
     some, d = len(which), now.u.shape[1]
-    moved = (now.u[which, None] + _vectors(walk, which, d)).reshape(-1, d)
+    moved = (now.u[which, None] + _vectors(walk, which, now.left[which], d)).reshape(-1, d)
     many = walk.batch.take(np.repeat(which, TRIES))
     moved = np.array(walk.lanes(on_constraints, (many.system,), (moved, dict(many.p)))[0])
     state, life = states_at(many, walk.lanes, moved), np.zeros(len(moved), int)
@@ -166,13 +168,22 @@ def _stagger(walk: _Walk, which: Int[np.ndarray, " some"], now: _Positions) -> N
     now.failures[which] = np.where(better, 0, now.failures[which] + 1)
 
 
-def _vectors(walk: _Walk, which: Int[np.ndarray, " some"], d: int) -> Float[np.ndarray, "some tries d"]:
-    """Return random vectors for points in order of lanes, by draws of each lane; the first of each is none."""
+def _vectors(
+    walk: _Walk, which: Int[np.ndarray, " some"], left: Int[np.ndarray, " some"], d: int
+) -> Float[np.ndarray, "some tries d"]:
+    """Return random vectors for points in order of lanes, by draws of each lane; the first of each is none.
+
+    Half of them have a length of its own in each coordinate: of two directions that grow at different rates the faster
+    one must be met more closely.
+    """
     of_lane, every = which // walk.walkers, list[np.ndarray]()
+    growth = left * walk.growth[which]
+    longest, least = -0.5 * growth, np.maximum(-_MARGIN * (growth + 1.0), np.log(_LEAST))
     for number, some in zip(*np.unique(of_lane, return_counts=True), strict=True):
         way = walk.draws[number].normal(size=(some, TRIES, d))
-        range_of = np.log(_LEAST), np.log(walk.longest[number * walk.walkers])
-        length = np.exp(walk.draws[number].uniform(*range_of, (some, TRIES, 1)))
+        ends = (leaf[of_lane == number][:, None, None] for leaf in (least, longest))
+        length = np.exp(walk.draws[number].uniform(*ends, (some, TRIES, d)))
+        length[:, ::2] = length[:, ::2, :1]
         every.append(length * way / np.linalg.norm(way, axis=2, keepdims=True))
     vectors = np.concatenate(every) * walk.size[which, None]
     vectors[:, 0] = 0.0

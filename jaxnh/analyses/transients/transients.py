@@ -58,8 +58,8 @@ def run(options: TransientsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.D
         saddle = find_saddle(many, lanes, life)
     if options.saddle_points:
         with lanes.stage(f"transients: orbits on saddles of {batch.count} lanes", 0):
-            region, exponent = region_of(options.box, options.region), saddle.exponents[:, 0]
-            states = saddle_orbits(many, lanes, region, life, exponent, options.saddle_points, options.seed)
+            region = region_of(options.box, options.region)
+            states = saddle_orbits(many, lanes, region, life, saddle.growth, options.saddle_points, options.seed)
         saddle = saddle._replace(states=states)
     unit, flow = iterate_units(batch.system), batch.flow
     variables: dict[str, Entry] = {
