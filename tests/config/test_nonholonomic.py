@@ -200,16 +200,13 @@ def chaplygin_top(t, p):
     return tuple(gamma), tuple(w), (*turned, *rates)
 
 
-def rubber_ball(t, p):
-    """As of `chaplygin_top`, with a moment λ γ that keeps w·γ = 0, and the velocity V = -w × r of the centre of mass."""
-    gamma, w = numbers(19, 3), numbers(20, 3)
-    gamma /= np.sqrt((gamma**2).sum(0))
-    w -= (w * gamma).sum(0) * gamma
+def rolls_without_spinning(gamma, w, r, moved, p):
+    """A body under a moment λ γ that keeps w·γ = 0, with the velocity V = -w × r of its centre of mass.
+
+    Its point of contact r is seen from there, and `moved` is ṙ.
+    """
     inertia, m = np.diag([p["i1"], p["i2"], p["i3"]]), p["mass"]
-    aside, along = p["offset"] * np.sin(p["tilt"]), p["offset"] * np.cos(p["tilt"])
-    turned = np.cross(gamma, w, axis=0)
-    r = np.array([[0.6 * aside], [0.8 * aside], [along]]) - p["radius"] * gamma
-    moved, pull = -p["radius"] * turned, np.cross(w, r, axis=0)
+    turned, pull = np.cross(gamma, w, axis=0), np.cross(w, r, axis=0)
     momentum = inertia @ w + m * np.cross(r, pull, axis=0)
     right = np.cross(momentum, w, axis=0) + m * p["gravity"] * np.cross(r, gamma, axis=0)
     right -= m * np.cross(r, np.cross(w, moved, axis=0), axis=0)
@@ -219,6 +216,31 @@ def rubber_ball(t, p):
     rates = free - (free * gamma).sum(0) / (by_moment * gamma).sum(0) * by_moment
     centre = -np.cross(rates, r, axis=0) - np.cross(w, moved, axis=0)
     return tuple(gamma), (*w, *-pull), (*turned, *rates, *centre)
+
+
+def rubber_start(seed):
+    """Verticals, and angular velocities across them."""
+    gamma, w = numbers(seed, 3), numbers(seed + 1, 3)
+    gamma /= np.sqrt((gamma**2).sum(0))
+    return gamma, w - (w * gamma).sum(0) * gamma
+
+
+def rubber_ball(t, p):
+    gamma, w = rubber_start(19)
+    aside, along = p["offset"] * np.sin(p["tilt"]), p["offset"] * np.cos(p["tilt"])
+    r = np.array([[0.6 * aside], [0.8 * aside], [along]]) - p["radius"] * gamma
+    return rolls_without_spinning(gamma, w, r, -p["radius"] * np.cross(gamma, w, axis=0), p)
+
+
+def rubber_disk(t, p):
+    """It touches the plane with the point of its rim that is lowest, along e = (γ1, γ2, 0) of length one."""
+    gamma, w = rubber_start(27)
+    steep = np.hypot(gamma[0], gamma[1])
+    e, across = gamma[:2] / steep, np.array([-gamma[1], gamma[0]]) / steep
+    swept = (across * np.cross(gamma, w, axis=0)[:2]).sum(0) / steep  # the rate of e's angle
+    flat = np.zeros((1, STATES))
+    r = np.array([[p["c1"]], [p["c2"]], [p["c3"]]]) - p["radius"] * np.concatenate([e, flat])
+    return rolls_without_spinning(gamma, w, r, -p["radius"] * swept * np.concatenate([across, flat]), p)
 
 
 def snakeboard(t, p):
@@ -273,8 +295,8 @@ SYSTEMS = {
     system.__name__: system
     for system in (
         oscillating_mass, sleigh_in_a_valley, suslov, appell_hamel, parallel_velocities, thermostat, speed_in_space,
-        sleigh_with_rotor, roller_racer, rotators, chaplygin_top, rubber_ball, snakeboard, two_wheeled_carriage, pursuit,
-        two_particles,
+        sleigh_with_rotor, roller_racer, rotators, chaplygin_top, rubber_ball, rubber_disk, snakeboard, two_wheeled_carriage,
+        pursuit, two_particles,
     )
 }  # fmt: skip
 
