@@ -1,4 +1,4 @@
-"""A rubber disk rolls on its rim without slipping and without spinning about the vertical; its centre of mass is beside its own.
+"""An unbalanced rubber disk: it rolls on its rim without slipping, and does not spin about the vertical.
 
 Gonchenko, Gonchenko and Kazakov (Proc. Steklov Inst. Math. 308 (2020) 125). The parameters are chosen here.
 """
