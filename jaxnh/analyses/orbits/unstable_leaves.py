@@ -20,12 +20,12 @@ from jaxnh.orbits.shooting import Period
 from jaxnh.systems.chart import Chart
 
 _POINTS = 33  # of a piece
-_GROWTH = np.log(1e6)  # of a piece from where it is straight to where it reaches past the saddle
+_GROWTH = np.log(1e3)  # of a piece from where it is straight to where it reaches past the saddle
 _WIDTH = (
     0.05  # of a piece, in units of its distance from the saddle: straight, and wider than the stable manifold bends
 )
 _RETURNS = 1024
-_SETTLED = 0.25  # of a motion: tangents have turned along the leaves by then
+_ALONG = 1e-6  # sine of the angle between tangents from two starts that have turned along the leaves
 _SIDES = 3.0  # pieces as long as so many distances from the saddle may still be straight
 
 
@@ -129,13 +129,17 @@ def _passages(
     flat = motion[first].reshape(-1, d)
     blocks = np.asarray(period(flat, np.repeat(lane[first], count)).monodromy).reshape(-1, count, d, d)[again]
     blocks = blocks * (size[:, None, None, :] / size[:, None, :, None])
-    direction, growth = np.empty((cycles, count, d)), np.zeros((cycles, count))
-    along = np.random.default_rng(0).normal(size=(cycles, d))
+    direction, growth, differ = np.empty((cycles, count, d)), np.zeros((cycles, count)), np.empty((cycles, count))
+    along = np.random.default_rng(0).normal(size=(cycles, 2, d))
     for i in range(count):
-        length = np.linalg.norm(along, axis=1)
-        growth[:, i] = (growth[:, i - 1] if i else 0.0) + np.log(length)
-        direction[:, i] = along / length[:, None]
-        along = np.einsum("cij,cj->ci", blocks[:, i], direction[:, i])
+        length = np.linalg.norm(along, axis=2)
+        growth[:, i] = (growth[:, i - 1] if i else 0.0) + np.log(length[:, 0])
+        one, other = np.moveaxis(along / length[:, :, None], 1, 0)
+        direction[:, i] = one
+        turned = np.sum(one * other, axis=1)[:, None]
+        differ[:, i] = np.linalg.norm(other - turned * one, axis=1)
+        along = np.einsum("cij,ckj->cki", blocks[:, i], np.stack([one, other], axis=1))
+    settled = np.minimum.accumulate(differ, axis=1) < _ALONG
     away = chart.wrap(motion[:, :, None] - points[:, None]) / size[:, None, None]
     apart = np.linalg.norm(away, axis=3)
     at, each = np.argmin(apart, axis=2), np.arange(cycles)[:, None]
@@ -144,7 +148,7 @@ def _passages(
     with np.errstate(divide="ignore", invalid="ignore"):
         way = -np.einsum("cij,cij->ci", away, across) / np.einsum("cij,cij->ci", direction, across)
     begun = np.array([np.searchsorted(np.maximum.accumulate(one), one - _GROWTH, "right") for one in growth]) - 1
-    possible = (begun > _SETTLED * count) & (np.abs(way) < _SIDES * apart)
+    possible = (begun >= 0) & np.take_along_axis(settled, np.maximum(begun, 0), axis=1) & (np.abs(way) < _SIDES * apart)
     with np.errstate(invalid="ignore"):
         cost = np.where(possible, np.maximum(np.abs(way), apart), np.inf)
     index = np.argmin(cost, axis=1)
