@@ -8,7 +8,7 @@ FIGURES := fig01 fig02 fig03 fig04 fig05 fig06 fig07 fig08 fig09 fig10
 RANGES := range_constant range_disturbed
 CHARTS := chart_b_d chart_b_a
 FLOWS := $(notdir $(basename $(wildcard configs/flows/*.yaml)))
-GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer suslov chaplygin_top appell_hamel parallel_velocities rotators thermostat nose_hoover speed_in_space switched_sleigh rubber_ball snakeboard two_wheeled_carriage pursuit two_particles rattleback celtic_stone discrete_lorenz
+GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer suslov chaplygin_top appell_hamel parallel_velocities rotators thermostat nose_hoover speed_in_space switched_sleigh rubber_ball rubber_disk snakeboard two_wheeled_carriage pursuit two_particles rattleback celtic_stone celtic_chart discrete_lorenz
 PAPER_FIGURES := paper_diagram paper_chart paper_sleigh
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
@@ -53,7 +53,7 @@ gallery_roller_racer: PICTURE := --size 130x90 --coordinates along
 gallery_chaplygin_top: PICTURE := --size 130x90 --coordinates w3
 gallery_nose_hoover: PICTURE := --size 130x90 --coordinates p
 gallery_switched_sleigh: PICTURE := --size 130x90 --coordinates turn
-gallery_rubber_ball: PICTURE := --size 130x90 --coordinates w3
+gallery_rubber_ball gallery_rubber_disk: PICTURE := --size 130x90 --coordinates w3
 gallery_snakeboard: PICTURE := --size 130x90 --coordinates along
 gallery_two_wheeled_carriage: PICTURE := --size 130x90 --coordinates along
 gallery_pursuit: PICTURE := --size 130x90 --coordinates x

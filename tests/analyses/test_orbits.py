@@ -11,9 +11,16 @@ from jaxnh.analyses.orbits import orbits as all_orbits
 from jaxnh.analyses.orbits import search as orbit_search
 from jaxnh.analyses.orbits.entropy import topological_entropy
 from jaxnh.analyses.orbits.missing import missing_orbits
+from jaxnh.analyses.orbits.search import map_of_lanes
+from jaxnh.analyses.orbits.unstable_leaves import leaf_distances
+from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.exceptions import InputError
 from jaxnh.orbits.recognition import equal_cycles, primitive_period
+from jaxnh.solvers import tsit5
+from jaxnh.systems.discrete_map import discrete_map
 from tests.flows.lorenz import lorenz
+from tests.helpers.batches import batch_of
+from tests.helpers.kept_programs import lanes_with_kept_programs
 
 TWO_LETTERS = [2, 1, 2, 3, 6, 9, 18, 30, 56]
 """Primitive cyclic words of two letters, of 1, 2, … letters (Moreau's formula)."""
@@ -88,6 +95,24 @@ def test_cycles_of_the_henon_map():
     product = np.prod(complex_multipliers(data), axis=1).real
     np.testing.assert_allclose(product, (-0.3) ** data["period"].to_numpy(), rtol=1e-9)
     assert set(jaxnh.labels(data["stability"]).to_numpy()) == {"saddle"}
+
+
+def test_leaves_of_the_henon_attractor_come_to_the_saddle_in_it_and_to_no_other():
+    """The fixed point inside is homoclinic (Benedicks and Carleson 1991); the other one is on the boundary of the basin."""
+    flow = discrete_map(henon, {"a": 1.4, "b": 0.3})
+    batch = batch_of(flow, flow.start({"x": 0.3, "y": 0.1}), np.array([1.4]), tsit5, 1, name="a")
+    at = map_of_lanes(batch, lanes_with_kept_programs(), refined_maps(batch)[0])
+    motion = [np.array([0.3, 0.1])]
+    for _ in range(600):
+        x, y = motion[-1]
+        motion.append(np.array([1.0 - 1.4 * x**2 + y, 0.3 * x]))
+    settled = np.broadcast_to(np.array(motion[88:]), (2, 513, 2))
+    x = np.sort(np.roots([1.4, 0.7, -1.0]))
+    saddles = np.stack([x, 0.3 * x], axis=1)[:, None]
+    nearest = leaf_distances(at, batch.chart, settled, saddles, np.zeros(2, int), np.ones((2, 2)), np.full(2, 1e-5))
+    assert np.isinf(nearest[0])
+    assert nearest[1] < 1e-5
+    assert np.min(np.linalg.norm(settled[1] - saddles[1], axis=1)) > 1e-3
 
 
 @pytest.mark.slow

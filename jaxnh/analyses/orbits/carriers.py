@@ -2,8 +2,9 @@
 
 Distances are in sizes of the motion, angles on their circle. An orbit lies in the attractor where each of its points is
 as near to the motion as its own points are to one another: nearer than 99 in 100 of them to the next one. It lies
-outside where it is more than four times further than any. In between neither is said, as the motion may come so near
-only after longer.
+outside where it is more than four times further than any. In between the unstable leaves of the motion, which belong to
+the attractor, decide where they come as near to it (`unstable_leaves`); else neither is said, as the motion may come so
+near only after longer.
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, flag, number_variable, variable
+from jaxnh.analyses.batch import LaneRunner
+from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.orbits.tables import LaneOrbits, gather, rows_of
+from jaxnh.analyses.orbits.unstable_leaves import leaf_distances
+from jaxnh.analyses.periodic.location import refined_maps
 
 PLACES = ("unknown", "inside", "outside", "undecided")
 """Meanings of the flags 0 to 3 of `place`."""
@@ -44,7 +49,9 @@ class Places(NamedTuple):
     near: Bool[np.ndarray, " cycles"]
 
 
-def places_of_orbits(part: LaneOrbits, motion: Float[np.ndarray, "lanes points d"]) -> dict[int, Places]:
+def places_of_orbits(
+    part: LaneOrbits, lanes: LaneRunner, motion: Float[np.ndarray, "lanes points d"]
+) -> dict[int, Places]:
     """Return where the orbits of a batch are, by number of returns, beside motions that have settled."""
     from scipy.spatial import KDTree  # here, as it takes a tenth of a second to import
 
@@ -71,8 +78,34 @@ def places_of_orbits(part: LaneOrbits, motion: Float[np.ndarray, "lanes points d
             distance > np.maximum(_FAR * largest[lane], _CLOSE),
         ]
         near = distance <= np.maximum(largest[lane], _CLOSE)
-        places[n] = Places(distance, np.select(conditions, [0, 1, 2], 3), near)
+        of_points = Places(distance, np.select(conditions, [0, 1, 2], 3), near)
+        places[n] = _by_leaves(part, lanes, motion, n, of_points, np.maximum(typical[lane], _CLOSE))
     return places
+
+
+def _by_leaves(
+    part: LaneOrbits,
+    lanes: LaneRunner,
+    motion: Float[np.ndarray, "lanes points d"],
+    n: int,
+    places: Places,
+    typical: Float[np.ndarray, " cycles"],
+) -> Places:
+    """Return the places with those of undecided saddles that an unstable leaf of the motion comes to."""
+    measured, batch = part.measured[n], part.batch
+    modulus, error = np.abs(measured.multipliers), measured.multipliers_error
+    one = (modulus[:, 0] > 1.0 + error[:, 0]) & np.all(modulus[:, 1:] < 1.0 - error[:, 1:], axis=1)
+    open_ = np.flatnonzero(one & (places.place == PLACES.index("undecided")))
+    if not len(open_) or batch.chart.dimension == 1:
+        return places
+    lane, period = part.search.cycles[n].lane[open_], map_of_lanes(batch, lanes, refined_maps(batch)[0])
+    of_lanes = motion[lane], measured.points[open_], lane, part.search.size[lane], typical[open_]
+    found = leaf_distances(period, batch.chart, *of_lanes)
+    distance, place, near = places.distance.copy(), places.place.copy(), places.near.copy()
+    distance[open_] = np.minimum(distance[open_], found)
+    inside = open_[found <= typical[open_]]
+    place[inside], near[inside] = PLACES.index("inside"), True
+    return Places(distance, place, near)
 
 
 def _on_circles(

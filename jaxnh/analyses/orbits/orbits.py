@@ -84,7 +84,7 @@ def _groups(
     if options.attractor is not None:
         with lanes.stage("orbits: distances from attractors", float(count * options.attractor)):
             motions = [points_after(part.batch, lanes, u[part.numbers], 0, options.attractor) for part in parts]
-            places = [places_of_orbits(part, motion) for part, motion in zip(parts, motions, strict=True)]
+            places = [places_of_orbits(part, lanes, motion) for part, motion in zip(parts, motions, strict=True)]
         orbits = orbits.assign(place_variables(parts, places, count) | carrier_variables(parts, places, count))
     if options.averages:
         counts = counts.assign(cycle_variables(parts, places, counts))
