@@ -49,7 +49,7 @@ def test_two_phases(tmp_path, coupling, apart):
     more = {"system": {"file": str(tmp_path / "flow.py"), "k": coupling}, **STEPS}
     rest = '"angles": ("phi", "psi")'
     tree = session_of(
-        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"max_periods": 512}, rest, "k=0.3", **more)
+        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"max_periods": 256}, rest, "k=0.3", **more)
     ).tree()
     phi, psi = grid(tree, "phi", "psi")
     # Starts with φ = ψ stay on that cycle, which for k > 0 repels: they are on neither.
@@ -72,7 +72,7 @@ def test_two_phases_with_a_clock(tmp_path):
     rest = '"angles": ("phi", "psi"), "period": 2 * jnp.pi'
     accuracy = {"accuracy": {"solver": "tsit5", "steps": 64}}
     tree = session_of(
-        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"max_periods": 512, "max_period": 4}, rest, **accuracy)
+        experiment(tmp_path, ("phi", "psi"), rates, sweep, {"max_periods": 256, "max_period": 4}, rest, **accuracy)
     ).tree()
     phi, psi = grid(tree, "phi", "psi")
     assert same_partition(labels(tree).tolist(), (np.cos(phi) * np.cos(psi) > 0).tolist())
@@ -112,7 +112,7 @@ def test_no_attractor_of_a_conservative_flow(tmp_path, coordinates, rates, rest,
     first, second = coordinates
     sweep = {first: line(0.1, 1.9, 6), second: line(-0.9, 0.8, 6)}
     accuracy = {"accuracy": {"solver": "tsit5", "steps": 48 if "period" in rest else 24}}
-    options = {"max_periods": 512, "max_period": 4}
+    options = {"max_periods": 256, "max_period": 4}
     tree = session_of(experiment(tmp_path, coordinates, rates, sweep, options, rest, **accuracy)).tree()
     assert np.all(labels(tree) == 0)
     assert kinds(tree["attractors"]) == []

@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import functools
 
+import jax
 import numpy as np
 import pytest
 
@@ -22,6 +23,7 @@ from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 from tests.helpers import contract
 from tests.helpers.batches import batch_of
+from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs
 from tests.helpers.paths import ROOT
 
 START = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
@@ -99,8 +101,14 @@ def test_scene_along_its_first_axis():
 # ---- what a dataset owes
 
 
+@pytest.fixture(scope="module")
+def few_lanes():
+    """Small tiles and little optimisation, where words are looked at and no numbers."""
+    return lanes_with_kept_programs(None, jax.devices()[:1], 8, QUICKLY_COMPILED)
+
+
 @pytest.mark.parametrize("name", [name for name in ANALYSES if name not in WITHOUT_A_CLOCK])
-def test_a_dataset_says_what_it_is(lanes, name):
+def test_a_dataset_says_what_it_is(few_lanes, name):
     """Words and units everywhere, errors of what is there, and a status of lanes."""
     scene = dataclasses.replace(batch_of(constant_speed(), START, B[:3], *STEPS), chosen={"lyapunov": {"parts": 4}})
 
@@ -112,7 +120,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
             if analysis.options.needs
             else ()
         )
-        return analysis.run(options, scene, lanes, *needed)
+        return analysis.run(options, scene, few_lanes, *needed)
 
     analysis = ANALYSES[name]
     data = left = run(
@@ -123,7 +131,7 @@ def test_a_dataset_says_what_it_is(lanes, name):
         scene = own(scene, a=0.4)
         axes = (Axis("b", B[:3], "b"), Axis("a", np.array([0.4, 0.5]), "a"))[: 2 if name in ("curves", "atlas") else 1]
         whole = SweepLanes(axes, ((np.arange(3), scene),))
-        groups = analysis.whole.run(analysis.options(**analysis.brief), whole, lanes, data)
+        groups = analysis.whole.run(analysis.options(**analysis.brief), whole, few_lanes, data)
         assert set(groups) == {name, *analysis.whole.brings}
         data = groups[name]
     for key, group in groups.items():

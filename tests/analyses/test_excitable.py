@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import numpy as np
 import pytest
@@ -33,6 +35,7 @@ def session_at(tmp_path):
     return session
 
 
+@functools.cache
 def orbit_by_scipy(name, number, value):
     """Period, Floquet multipliers and mean divergence of a cycle through a coordinate at a value upwards, by DOP853."""
     flow, rates = FLOWS[name], rates_with_tangents(name)

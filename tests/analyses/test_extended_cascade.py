@@ -16,7 +16,6 @@ from jaxnh.maps.double_double import Double
 from jaxnh.maps.extended_precision import extend_precision
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.extended_doublings import ExtendedPoint, extended_doubling, from_float64, next_doubling
-from tests.helpers.paths import ROOT
 
 FEIGENBAUM = 4.669201609102990671853  # Briggs, Math. Comp. 57 (1991) 435
 ALPHA = 2.502907875095892822284  # the same
@@ -184,21 +183,3 @@ def test_unknown_operations_are_refused(tmp_path):
     }
     with pytest.raises(AccuracyError, match="asin is not known in extended precision, and the system has it"):
         jaxnh.Session(jaxnh.Experiment.from_dict(config)).run("doubling")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("flow", ["table1", "table2"])
-def test_sixteen_levels_of_the_particle(flow):
-    """δ and α to ten digits from cascades up to period 65536, each with an error that covers.
-
-    Doublings are known to 1e-28 and the last distance is 1e-12 of the range, so that rounding leaves δ_15 at 1e-14 of
-    it. Its correction of δ⁻¹⁶ is 1e-11, and of widths that of α⁻¹⁶ is 4e-7; extrapolation takes out these and more.
-    """
-    asked = ["accuracy.target=1e-6", "accuracy.precision=extended", "analyses={doubling: {levels: 16}}"]
-    data = jaxnh.Session(jaxnh.load(ROOT / f"configs/{flow}.yaml", asked)).run("doubling")
-    assert data["levels_found"] == 16
-    assert abs(data["delta_limit"] - FEIGENBAUM) <= data["delta_limit_error"] < 1e-10
-    assert abs(data["alpha"] - ALPHA) <= data["alpha_error"] < 1e-6
-    # The other digits are beyond float64, and of δ rounding leaves nothing but what steps do.
-    name = data.attrs["along"]
-    assert np.all(np.abs(data[f"{name}_low"]) <= np.spacing(data[name]) / 2)

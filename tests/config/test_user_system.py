@@ -416,7 +416,7 @@ def sleigh(folder, initial):
     path.write_text(
         f"system: {{file: sleigh.py}}\ninitial: {initial}\n"
         "sweep:\n  theta: {values: [0.0, 0.5]}\n  x_dot: {values: [0.5, 1.0]}\n"
-        "accuracy: {target: 1.0e-6}\nanalyses:\n  lyapunov: {transient: 16, periods: 16, exponents: 1}\n"
+        "accuracy: {target: 1.0e-6}\nanalyses:\n  lyapunov: {transient: 16, periods: 16, exponents: 1, method: averages}\n"
     )
     return load(path)
 
