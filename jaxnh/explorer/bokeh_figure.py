@@ -9,12 +9,14 @@ from bokeh.plotting import figure
 
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.explorer.figures import Drawing
+from jaxnh.explorer.overlay_figure import LayerDrawing
+from jaxnh.explorer.overlays import layers_of
 from jaxnh.explorer.recording import source_of
 
 
 def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:
     """Return the first view of a result in the explorer: a plane over its first two axes, or the diagram over the
-    first.
+    first, with curves, branches and other layers of the result over it.
 
     Args:
         result: of `open_result` or `run`.
@@ -22,7 +24,7 @@ def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:
 
     Raises:
         InputError: that is no result.
-        ResultError: there is neither a plane nor a diagram, or not this quantity.
+        ResultError: there is no plane, diagram, curve or branch, or not this quantity.
     """
     if not isinstance(result, xr.DataTree):
         raise InputError(f"a figure is of a result, as of open_result, not {type(result).__name__}")
@@ -35,4 +37,7 @@ def bokeh_figure(result: xr.DataTree, quantity: str | None = None) -> figure:
     drawing = Drawing(view, source.axis_words[view.axis], upward)
     *_, picture = source.passes(view)
     drawing.show(view, picture)
+    laid = LayerDrawing(drawing.figure, (), edged=bool(view.second))
+    laid.show(layers_of(source.overlays, view.axis, view.second or view.variable))
+    laid.fit(drawing.scale)
     return drawing.figure

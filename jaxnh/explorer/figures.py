@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from bokeh.core.property.descriptors import UnsetValueError
 from bokeh.models import (
     BasicTicker,
     BoxZoomTool,
@@ -106,8 +107,11 @@ class Drawing:
 
     @property
     def scale(self) -> Scale:
-        """The ranges that are seen, and their size in pixels."""
+        """The ranges that are seen, and their size in pixels: a guess before a browser has drawn them."""
         drawn: Any = self.figure
-        width, height = drawn.inner_width or _NARROWEST, drawn.inner_height or drawn.frame_height
+        try:
+            width, height = drawn.inner_width or _NARROWEST, drawn.inner_height or drawn.frame_height
+        except UnsetValueError:
+            width, height = _NARROWEST, drawn.frame_height
         across, up = ((ends.start, ends.end) for ends in (drawn.x_range, drawn.y_range))
         return Scale(across, up, float(width), float(height))

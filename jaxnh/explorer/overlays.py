@@ -117,7 +117,7 @@ def _of_curves(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
         return [*known, *where, *_multipliers(data, (c, k)), *ends]
 
     def name_of(words: str, n: int) -> str:
-        return f"{words}, period {n}" if n >= 0 else words
+        return f"{words}, {_period(n)}" if n >= 0 else words
 
     for what, (words, _) in named.items():
         for n in periods:

@@ -8,6 +8,9 @@ import pytest
 import jaxnh
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.exceptions import ConfigError
+from jaxnh.explorer.atlas import limits_of
+from jaxnh.explorer.overlays import layers_of
+from jaxnh.explorer.recording import source_of
 from jaxnh.orbits.continuation.kinds import KINDS
 from tests.helpers import contract
 from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
@@ -76,6 +79,15 @@ def test_the_hopf_curve_of_the_brusselator(tmp_path):
     assert [row[0] for row in table.rows] == ["0.9", "1.1"]
     assert "at a = 0.9, 1.1; equilibria" in table.caption
     jaxnh.figure(groups)
+    source = source_of(groups, "atlas.h5")  # there is no chart
+    assert source.first.ranges == {"b": (1.5, 2.5), "a": (0.9, 1.1)}
+    layers = {layer.name: layer.items for layer in layers_of(source.overlays, "b", "a")}
+    [along] = layers["hopf, equilibria"]
+    k = len(a) // 2
+    assert along.orbit(k)["y"] == pytest.approx([along.x[k] / along.y[k]])  # b/a
+    assert dict(layers["hopf"][0].facts(0))["on the curve of number"] == f"{number}"
+    assert {float(item.y[0]) for item in layers["period 1, stable"]} == {0.9, 1.1}
+    assert "complete to orbits of periods up to 1" in limits_of(source.overlays)[0]
 
 
 @pytest.mark.slow

@@ -107,3 +107,10 @@ def test_curves_and_branches_without_a_chart_are_over_white():
         pytest.approx((4.6 + np.sqrt(0.6 * 4.6)) / 7.2),
     )
     assert layers_of(source.overlays, "b", "x1")
+
+
+def test_a_figure_of_bokeh_has_the_layers_of_a_result():
+    [legend] = jaxnh.bokeh_figure(logistic_atlas(), "share_1").above
+    assert {item.label.value for item in legend.items} >= {"period 1, stable", "period doubling, period 1"}
+    [legend] = jaxnh.bokeh_figure(tree({"curves": cusp_curves()}, axes="p q")).above
+    assert [item.label.value for item in legend.items] == ["fold, period 1", "period doubling, period 2"]

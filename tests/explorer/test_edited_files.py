@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 from jaxnh.config.config import load_config
+from jaxnh.engine.progress import NullProgress
 from jaxnh.exceptions import ConfigError, InputError, ResultError
 from jaxnh.explorer.edited_files import MOST, edited_files, place_of
 from jaxnh.explorer.file_check import check_texts
+from jaxnh.explorer.opening import open_file
 
 SYSTEM = """\
 def system(r=3.2):
@@ -130,3 +132,20 @@ def test_texts_that_are_right_pass_whatever_they_print(files):
     assert set(check_texts(files, edited(files, "        (x,) = y\n", "        print('x')\n        (x,) = y\n"))) <= {
         None
     }
+
+
+def test_a_page_that_is_seen_from_elsewhere_edits_and_runs_nothing(files, tmp_path):
+    """`make_server` gives a page nothing to run texts with where it does not listen on the loopback."""
+    pytest.importorskip("panel", reason="the extra explore is missing")
+    from bokeh.document import Document
+
+    from jaxnh.explorer.page import Page
+    from jaxnh.explorer.worker import Worker
+
+    path = tmp_path / "own.yaml"
+    opened = open_file(path, load_config(path), (), (), NullProgress(), 64)
+    page = Page(opened, Worker(), Document(), {}, lambda *_: None)
+    for ask in (page._edit, lambda: page._run_texts(files.texts)):
+        page._say("")
+        ask()
+        assert "files are edited on the loopback alone" in page._status.object
