@@ -34,6 +34,7 @@ from jaxnh.systems.state import LaneStates, State, Vector, is_finite
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
+_WRITTEN_OUT = 6  # vectors orthonormalised by written-out equations: of ten they are half of a program, here 2,000
 _LOST = 1e-9  # of a tangent's length, left across the others: rank is lost, where maps say that some is
 _KICKS_A_NODE = 4  # of the map: its own error, a processed one's too, is larger than that of a step of ten kicks
 
@@ -289,6 +290,8 @@ def gram_schmidt(
         singular: whether the vectors are images under a map that has less than full rank. Those in the span of the ones
             before them, but for rounding, have the logarithm −∞ then, and another direction, across all.
     """
+    if len(vectors) > _WRITTEN_OUT and singular is None:
+        return _gram_schmidt_in_loop(vectors)
     orthonormal: list[Vector] = []
     logs, lost = [], []
     for whole in vectors:
@@ -304,6 +307,25 @@ def gram_schmidt(
         across = _orthogonal_to(orthonormal)
         orthonormal[k] = tuple(jnp.where(vanished, new, old) for new, old in zip(across, orthonormal[k], strict=True))
     return tuple(orthonormal), tuple(logs)
+
+
+def _gram_schmidt_in_loop(vectors: Sequence[Vector]) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
+    """Return what `gram_schmidt` does: each vector in turn is made a unit one, and taken out of all later ones."""
+    components = jnp.stack([jnp.stack(vector) for vector in vectors])
+    numbers = jnp.arange(len(vectors)).reshape(-1, *(1,) * (components.ndim - 1))
+
+    def normalise(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        left, squares = carry
+        square = jnp.sum(left[k] ** 2, axis=0, keepdims=True)
+        unit = (left[k] / jnp.sqrt(square))[None]
+        across = left - jnp.sum(left * unit, axis=1, keepdims=True) * unit
+        left = jnp.where(numbers > k, across, jnp.where(numbers == k, unit, left))
+        return left, squares.at[k].set(square[0])
+
+    begun = components, jnp.ones_like(components[:, 0])
+    units, squares = lax.fori_loop(0, len(vectors), normalise, begun)
+    logs = 0.5 * jnp.log(squares)
+    return tuple(tuple(unit) for unit in units), tuple(logs)
 
 
 def _project_out(orthonormal: Sequence[Vector], vector: Vector) -> Vector:
