@@ -72,11 +72,15 @@ def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
                 if len(cycles.lane)
             }
         parts.append(LaneOrbits(numbers, batch, known, measured))
-    return _groups(options, lanes, parts, u)
+    return _groups(options, lanes, parts, u, [axis.values for axis in sweep.axes])
 
 
 def _groups(
-    options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[LaneOrbits], u: Float[np.ndarray, "lanes d"]
+    options: OrbitsOptions,
+    lanes: LaneRunner,
+    parts: Sequence[LaneOrbits],
+    u: Float[np.ndarray, "lanes d"],
+    axes: Sequence[Float[np.ndarray, " values"]],
 ) -> dict[str, xr.Dataset]:
     """Return the groups of orbits that are measured, and what is asked for of attractors and averages."""
     count, motions, places = len(u), [], [None] * len(parts)
@@ -85,7 +89,7 @@ def _groups(
         with lanes.stage("orbits: distances from attractors", float(count * options.attractor)):
             motions = [points_after(part.batch, lanes, u[part.numbers], 0, options.attractor) for part in parts]
             places = [places_of_orbits(part, lanes, motion) for part, motion in zip(parts, motions, strict=True)]
-        orbits = orbits.assign(place_variables(parts, places, count) | carrier_variables(parts, places, count))
+        orbits = orbits.assign(place_variables(parts, places, count) | carrier_variables(parts, places, axes))
     if options.averages:
         counts = counts.assign(cycle_variables(parts, places, counts))
         if motions:

@@ -28,7 +28,8 @@ AVERAGES = "cycle_escape_rate", "cycle_exponent", "cycle_return_time", "motion_e
 OWN_NAMES = (
     "orbit", "n", "multiplier", "part", "iterate", "period", "time", "time_error", "multipliers", "multipliers_error",
     "index", "stability", "met", "residual", "number", "missing", "missing_low", "missing_high", "entropy",
-    "entropy_error", "rounds", "distance", "place", "least_period", "least_unstable", "carrier", "status",
+    "entropy_error", "rounds", "distance", "place", "least_period", "least_unstable", "carrier", "scenario",
+    "status",
     *(f"{name}{ending}" for name in AVERAGES for ending in ("", "_error")),
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
