@@ -112,6 +112,24 @@ def test_a_torus_that_breaks_down():
     assert roads(beyond) == ["undecided", "undecided"]
 
 
+@pytest.mark.slow
+def test_a_spiral_attractor():
+    """Of a map in space with a saddle-focus at the origin: the roots of μ³ + 0.78885 μ² + 0.4174 μ = 0.5 are multipliers."""
+
+    def spiral(a=-0.78885, b=0.5, c=-0.4174):
+        return {
+            "map": lambda s: (s[1], s[2], b * s[0] + c * s[1] + a * s[2] - s[2] ** 2),
+            "coordinates": ("x", "y", "z"),
+        }
+
+    start = {"x": 0.001, "y": 0.001, "z": 0.001}
+    data = jaxnh.Session(spiral, start=start).run(jaxnh.Orbits(max_period=1, attractor=32768), a=np.array([-0.78885]))
+    assert roads(data) == ["spiral"]
+    at = int(np.argmin(np.abs(data["x"].to_numpy()[0])))
+    ours = np.sort_complex(data["multipliers"].to_numpy()[0, at] @ [1.0, 1.0j])
+    assert np.abs(ours - np.sort_complex(np.roots([1.0, 0.78885, 0.4174, -0.5]))).max() < 1e-9
+
+
 def test_roads_of_charts():
     """Of two axes the second has the road; a window on the way is passed; a focus that was never stable tells nothing."""
     kinds = ["stable", "stable", "repelling", "stable", "repelling"]

@@ -193,9 +193,8 @@ def least_orbits(parts: Sequence[LaneOrbits], places: Sequence[Mapping[int, Plac
                 elif place == "undecided":
                     period[number], unstable[number] = 0, 0
                     carrier[number] = CARRIERS.index("undecided")
-                elif place == "outside" and np.count_nonzero(modulus[i] > 1.0) == 2:
-                    if _leading(measured.multipliers[i], measured.multipliers_error[i])[1]:
-                        focus[number] = n
+                elif place == "outside" and _is_focus(measured.multipliers[i], measured.multipliers_error[i]):
+                    focus[number] = n
     return LeastOrbits(period, unstable, carrier, flips, turns, focus)
 
 
@@ -205,6 +204,11 @@ def _leading(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " 
     alone = np.count_nonzero(np.abs(multipliers) > 1.0) == 1
     turns = bool(np.abs(np.imag(multipliers[largest])) > error[largest])
     return alone and not turns and bool(np.real(multipliers[largest]) < -1.0), turns
+
+
+def _is_focus(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " d"]) -> bool:
+    """Return whether a complex pair alone is beyond the unit circle."""
+    return np.count_nonzero(np.abs(multipliers) > 1.0) == 2 and _leading(multipliers, error)[1]
 
 
 def _kind(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " d"]) -> str:
