@@ -7,6 +7,7 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
+from jaxnh.plotting.descriptions import describe
 
 
 def carriers(data):
@@ -93,6 +94,7 @@ def test_the_road_of_the_logistic_map():
     data = jaxnh.Session(logistic, start={"x": 0.4}).run(jaxnh.Orbits(max_period=4, attractor=4096), r=r)
     expected = ["feigenbaum", "regular", "regular", "none of these", "regular", "feigenbaum"]
     assert roads(data) == expected
+    assert describe("orbits", data).attrs["panel"] == "flags"
     alone = jaxnh.Session(logistic, start={"x": 0.4}).run(jaxnh.Orbits(max_period=4, attractor=4096), r=r[:1])
     assert roads(alone) == ["undecided"]
 
