@@ -17,8 +17,8 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, flag, number_variable, variable
 from jaxnh.analyses.batch import LaneRunner
-from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
+from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.orbits.tables import LaneOrbits, gather, rows_of
 from jaxnh.analyses.orbits.unstable_leaves import leaf_distances
 from jaxnh.analyses.periodic.location import refined_maps
