@@ -118,7 +118,10 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("missing_high",),
         lambda _: _Description("curves", ("number",), ("n",), "periodic orbits", "none"),
     ),
-    "orbits": (("met",), None),
+    "orbits": (
+        ("met",),
+        lambda data: _Description("flags", [name for name in ("scenario",) if name in data], label="scenario of chaos"),
+    ),
     "edges": (
         ("edge_from",),
         lambda data: _Description(

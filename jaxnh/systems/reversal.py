@@ -79,7 +79,7 @@ def signed_names(flow: Flow) -> tuple[str, ...]:
     return flow.coordinates if _maps_all(flow) else flow.coordinates[::2]
 
 
-def _component_names(flow: Flow) -> tuple[str, ...]:
+def component_names(flow: Flow) -> tuple[str, ...]:
     """Names of the components of a state, in their order."""
     return flow.coordinates if _maps_all(flow) else (*flow.coordinates[::2], *flow.coordinates[1::2])
 
@@ -175,7 +175,7 @@ def probe(flow: Flow, reversal: Reversal, u: Array, t: Number, p: Parameters) ->
 def _angles(flow: Flow) -> np.ndarray:
     """Flag the components of a state that are angles."""
     angles = flow.angles if isinstance(flow, DefinedFlow) else ()
-    return np.array([*angles, *[False] * (len(_component_names(flow)) - len(angles))])
+    return np.array([*angles, *[False] * (len(component_names(flow)) - len(angles))])
 
 
 def random_places(flow: Flow) -> tuple[np.ndarray, np.ndarray]:
@@ -243,7 +243,7 @@ def describe_violation(flow: Flow, reversals: Reversal, number: int, p: Paramete
     here = jax.tree.map(lambda leaf: leaf[at], probes)
     if not worst[at] >= 0.0:
         return "the field is finite at none of some random states"
-    names = _component_names(flow)
+    names = component_names(flow)
     place = ", ".join(f"{name} = {x:.4g}" for name, x in zip(names, here.state, strict=True))
     time = "" if flow.autonomous else f", t = {here.t:.4g}"
     if here.gap <= EXACT * max(np.abs(here.image_of_rate).max(), 1e-300):

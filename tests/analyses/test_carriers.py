@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import jaxnh
+from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
+from jaxnh.plotting.descriptions import describe
 
 
 def carriers(data):
     return jaxnh.labels(data["carrier"]).to_numpy().ravel().tolist()
+
+
+def roads(data):
+    return jaxnh.labels(data["scenario"]).to_numpy().ravel().tolist()
 
 
 def places(data, lane):
@@ -58,7 +65,7 @@ def test_a_discrete_lorenz_attractor():
     """Its saddle is the fixed point x = M2 + B − 1, with the roots of μ³ + 2 x μ² = M2 μ + B as multipliers."""
     session = jaxnh.Session(henon_in_space, start={"x": 0.1, "y": 0.1})
     data = session.run(jaxnh.Orbits(max_period=1, attractor=8192), m2=np.array([0.815]))
-    assert carriers(data) == ["discrete lorenz"]
+    assert carriers(data) == roads(data) == ["discrete lorenz"]
     assert data["least_period"].to_numpy().tolist() == [1]
     assert places(data, 0) == ["outside", "inside"]  # the other one is 0
     at = int(np.argmax(data["x"].to_numpy()[0]))
@@ -81,7 +88,80 @@ def test_multipliers_that_are_zero_are_counted_out():
     assert carriers(data) == ["discrete lorenz"]
 
 
+def test_the_road_of_the_logistic_map():
+    """Bands of chaos behind cycles of 1, 2 and 4; at 4 the origin, which has never flipped, lies in the attractor too."""
+    r = np.array([3.7, 2.8, 3.2, 4.0, 3.5, 3.62])  # in any order
+    data = jaxnh.Session(logistic, start={"x": 0.4}).run(jaxnh.Orbits(max_period=4, attractor=4096), r=r)
+    expected = ["feigenbaum", "regular", "regular", "none of these", "regular", "feigenbaum"]
+    assert roads(data) == expected
+    assert describe("orbits", data).attrs["panel"] == "flags"
+    alone = jaxnh.Session(logistic, start={"x": 0.4}).run(jaxnh.Orbits(max_period=4, attractor=4096), r=r[:1])
+    assert roads(alone) == ["undecided"]
+
+
+@pytest.mark.slow
+def test_a_torus_that_breaks_down():
+    """The delayed logistic map: an invariant circle from r = 2, chaos at 2.27 (Aronson et al., Comm. Math. Phys. 83, 1982)."""
+
+    def delayed(r=2.1):
+        return {"map": lambda s: (r * s[0] * (1.0 - s[1]), s[0]), "coordinates": ("x", "y")}
+
+    r = np.array([1.9, 2.05, 2.1, 2.15, 2.2, 2.25, 2.27])
+    data = jaxnh.Session(delayed, start={"x": 0.4, "y": 0.4}).run(jaxnh.Orbits(max_period=8, attractor=4096), r=r)
+    assert roads(data)[:4] == ["regular", "undecided", "undecided", "undecided"]  # circles are no chaos
+    assert roads(data)[4:] == ["regular", "torus breakdown", "torus breakdown"]  # locked to 1/7 at 2.2
+    beyond = jaxnh.Session(delayed, start={"x": 0.4, "y": 0.4}).run(jaxnh.Orbits(max_period=8, attractor=4096), r=r[5:])
+    assert roads(beyond) == ["undecided", "undecided"]
+
+
+@pytest.mark.slow
+def test_a_spiral_attractor():
+    """Of a map in space with a saddle-focus at the origin: the roots of μ³ + 0.78885 μ² + 0.4174 μ = 0.5 are multipliers."""
+
+    def spiral(a=-0.78885, b=0.5, c=-0.4174):
+        return {
+            "map": lambda s: (s[1], s[2], b * s[0] + c * s[1] + a * s[2] - s[2] ** 2),
+            "coordinates": ("x", "y", "z"),
+        }
+
+    start = {"x": 0.001, "y": 0.001, "z": 0.001}
+    data = jaxnh.Session(spiral, start=start).run(jaxnh.Orbits(max_period=1, attractor=32768), a=np.array([-0.78885]))
+    assert roads(data) == ["spiral"]
+    at = int(np.argmin(np.abs(data["x"].to_numpy()[0])))
+    ours = np.sort_complex(data["multipliers"].to_numpy()[0, at] @ [1.0, 1.0j])
+    assert np.abs(ours - np.sort_complex(np.roots([1.0, 0.78885, 0.4174, -0.5]))).max() < 1e-9
+
+
+def test_roads_of_charts():
+    """Of two axes the second has the road; a window on the way is passed; a focus that was never stable tells nothing."""
+    kinds = ["stable", "stable", "repelling", "stable", "repelling"]
+    line = CarrierChart(
+        np.array([1, 2, 1, 3, 1]), kinds, np.array([0, 0, 1, 0, 1], bool), np.zeros(5, bool), np.zeros(5, int)
+    )
+    two = CarrierChart(
+        *(np.repeat(leaf, 2) if isinstance(leaf, np.ndarray) else np.repeat(leaf, 2).tolist() for leaf in line)
+    )
+    for chart, axes, times in ((line, [np.arange(5.0)], 1), (two, [np.arange(5.0), np.arange(2.0)], 2)):
+        names = [SCENARIOS[k] for k in scenarios(chart, axes)]
+        assert names == list(np.repeat(["regular", "regular", "feigenbaum", "regular", "feigenbaum"], times))
+    focus = np.array([0, 1, 1, 1])
+    for turns, name in ((True, "torus_breakdown"), (False, "undecided")):
+        chart = CarrierChart(
+            np.array([1, 0, 7, 6]),
+            ["stable", "none", "stable", "saddle"],
+            np.zeros(4, bool),
+            np.arange(4) < turns,
+            focus,
+        )
+        assert SCENARIOS[scenarios(chart, [np.arange(4.0)])[3]] == name
+    kinds = ["unstable_focus_saddle", "saddle", "undecided", "discrete_lorenz"]
+    zeros = np.zeros(4, int)
+    chart = CarrierChart(zeros + 1, kinds, zeros.astype(bool), zeros.astype(bool), zeros)
+    names = [SCENARIOS[k] for k in scenarios(chart, [np.arange(4.0)])]
+    assert names == ["spiral", "none_of_these", "undecided", "discrete_lorenz"]
+
+
 def test_not_asked_for():
     """Nothing of it is there by default."""
     data = jaxnh.Session(henon, start={"x": 0.1, "y": 0.1}).run(jaxnh.Orbits(max_period=1), a=np.array([1.4]))
-    assert not {"distance", "place", "carrier"} & set(data)
+    assert not {"distance", "place", "carrier", "scenario"} & set(data)

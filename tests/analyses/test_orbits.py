@@ -147,6 +147,33 @@ def test_orbits_over_a_parameter():
     np.testing.assert_allclose(cycle.real, [[4 + 2 * 3.2 - 3.2**2]], rtol=1e-12)
 
 
+def cubic(a=3.0):
+    """Onto thrice on (−2, 2), of three letters, the outer two of which x → −x exchanges."""
+    return {"map": lambda y: (a * y[0] - y[0] ** 3,), "coordinates": "x"}
+
+
+def test_images_under_a_symmetry():
+    """Words of three letters 3, 3 and 8; but for the exchange of two letters 2, 2 and 4."""
+    session = jaxnh.Session(cubic, start={"x": 0.3})
+    groups = session.groups({"orbits": jaxnh.Orbits(max_period=3, symmetry=("x",))})
+    data, counts = groups["orbits"], groups["orbit_counts"]
+    assert counts["number"].to_numpy().tolist() == [3, 3, 8]
+    assert counts["distinct"].to_numpy().tolist() == [2, 2, 4]
+    image = data["image"].to_numpy() - 1
+    assert np.all(image[image] == np.arange(len(image)))
+    assert np.all(data["period"].to_numpy()[image] == data["period"].to_numpy())
+    sums = np.nansum(data["x_points"].to_numpy(), axis=1)
+    assert np.abs(sums[image] + sums).max() < 1e-9
+
+
+def test_signs_that_are_no_symmetry():
+    session = jaxnh.Session(logistic, start={"x": 0.3})
+    with pytest.raises(InputError, match="signs of x are no symmetry: the image of an orbit is none"):
+        session.run(jaxnh.Orbits(max_period=1, symmetry=("x",)))
+    with pytest.raises(InputError, match="a symmetry changes signs of x, and there is no y"):
+        session.run(jaxnh.Orbits(max_period=1, symmetry=("y",)))
+
+
 def test_where_nothing_stays_there_are_the_orbits_of_random_starts():
     """At r = 5 almost all motions go to infinity, and all orbits of two letters are left, repelling."""
     options = jaxnh.Orbits(max_period=4, transient=64, n_starts=64, box={"x": (-0.1, 1.1)})
@@ -239,9 +266,12 @@ def lorenz_section(target):
 
 def test_short_orbits_of_lorenz():
     """The shortest takes 1.558652210716 (Viswanath 2003); the equilibria, which are on the section, are no orbits."""
-    groups = lorenz_section(1e-5).groups({"orbits": jaxnh.Orbits(max_period=2, transient=16, rounds=4)})
+    groups = lorenz_section(1e-5).groups(
+        {"orbits": jaxnh.Orbits(max_period=2, transient=16, rounds=4, symmetry=("x", "y"))}
+    )
     data, counts = groups["orbits"], groups["orbit_counts"]
-    assert counts["number"].to_numpy().tolist() == [0, 1]
+    assert counts["number"].to_numpy().tolist() == counts["distinct"].to_numpy().tolist() == [0, 1]
+    assert data["image"].to_numpy().tolist() == [1]
     assert abs(float(data["time"][0]) - 1.558652210716) < float(data["time_error"][0]) + 1e-12
 
 

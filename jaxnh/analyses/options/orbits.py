@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -260,6 +260,10 @@ class OrbitsOptions(Options):
         default=None,
         ge=256,
         description="Points of a motion, by which orbits are told to lie in its attractor; by default not asked",
+    )
+    symmetry: Annotated[tuple[str, ...], Field(strict=False)] | None = Field(
+        default=None,
+        description="Coordinates whose signs a symmetry of the system changes, which takes orbits to orbits",
     )
     averages: Extra = Field(
         default=None,

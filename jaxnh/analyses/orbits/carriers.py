@@ -17,6 +17,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, flag, number_variable, variable
 from jaxnh.analyses.batch import LaneRunner
+from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
 from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.orbits.tables import LaneOrbits, gather, rows_of
 from jaxnh.analyses.orbits.unstable_leaves import leaf_distances
@@ -132,15 +133,25 @@ def place_variables(
 
 
 def carrier_variables(
-    parts: Sequence[LaneOrbits], places: Sequence[Mapping[int, Places]], count: int
+    parts: Sequence[LaneOrbits],
+    places: Sequence[Mapping[int, Places]],
+    axes: Sequence[Float[np.ndarray, " values"]],
 ) -> dict[str, Entry]:
-    """Return the period, the unstable multipliers and the kind of the orbit that carries each attractor."""
-    least = least_orbits(parts, places, count)
+    """Return the period, the unstable multipliers and the kind of the orbit that carries each attractor, and scenarios.
+
+    Args:
+        axes: values along the axes of the sweep.
+    """
+    least = least_orbits(parts, places, int(np.prod([len(values) for values in axes])))
+    chart = CarrierChart(
+        least.period, [CARRIERS[kind] for kind in least.carrier], least.flips, least.turns, least.focus
+    )
     words = "of the orbit of least period in the attractor"
     return {
         "least_period": number_variable(LANE, least.period.astype(np.int32), f"period, in returns, {words}", ("none",)),
         "least_unstable": variable(LANE, least.unstable.astype(np.int32), f"number of unstable multipliers {words}"),
         "carrier": flag(LANE, least.carrier, f"kind {words}", CARRIERS),
+        "scenario": flag(LANE, scenarios(chart, axes), "scenario by which chaos has come about", SCENARIOS),
     }
 
 
@@ -151,16 +162,21 @@ class LeastOrbits(NamedTuple):
         period: in returns; 0 where none is known to lie in it, (lanes,).
         unstable: number of its multipliers beyond the unit circle, (lanes,).
         carrier: number in `CARRIERS`, (lanes,).
+        flips, turns, focus: as `CarrierChart` has them, (lanes,).
     """
 
     period: Int[np.ndarray, " lanes"]
     unstable: Int[np.ndarray, " lanes"]
     carrier: Int[np.ndarray, " lanes"]
+    flips: Bool[np.ndarray, " lanes"]
+    turns: Bool[np.ndarray, " lanes"]
+    focus: Int[np.ndarray, " lanes"]
 
 
 def least_orbits(parts: Sequence[LaneOrbits], places: Sequence[Mapping[int, Places]], count: int) -> LeastOrbits:
     """Return the orbit of least period inside the attractor of each lane; of several the most unstable one."""
-    period, unstable, carrier = (np.zeros(count, int) for _ in range(3))
+    period, unstable, carrier, focus = (np.zeros(count, int) for _ in range(4))
+    flips, turns = np.zeros(count, bool), np.zeros(count, bool)
     for part, by_returns in zip(parts, places, strict=True):
         for n in sorted(by_returns, reverse=True):
             measured, lane = part.measured[n], part.search.cycles[n].lane
@@ -173,10 +189,26 @@ def least_orbits(parts: Sequence[LaneOrbits], places: Sequence[Mapping[int, Plac
                     unstable[number] = np.count_nonzero(modulus[i] > 1.0)
                     kind = _kind(measured.multipliers[i], measured.multipliers_error[i])
                     carrier[number] = CARRIERS.index(kind)
+                    flips[number], turns[number] = _leading(measured.multipliers[i], measured.multipliers_error[i])
                 elif place == "undecided":
                     period[number], unstable[number] = 0, 0
                     carrier[number] = CARRIERS.index("undecided")
-    return LeastOrbits(period, unstable, carrier)
+                elif place == "outside" and _is_focus(measured.multipliers[i], measured.multipliers_error[i]):
+                    focus[number] = n
+    return LeastOrbits(period, unstable, carrier, flips, turns, focus)
+
+
+def _leading(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " d"]) -> tuple[bool, bool]:
+    """Return whether one multiplier alone is beyond the unit circle, below −1, and whether the largest are a pair."""
+    largest = int(np.argmax(np.abs(multipliers)))
+    alone = np.count_nonzero(np.abs(multipliers) > 1.0) == 1
+    turns = bool(np.abs(np.imag(multipliers[largest])) > error[largest])
+    return alone and not turns and bool(np.real(multipliers[largest]) < -1.0), turns
+
+
+def _is_focus(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " d"]) -> bool:
+    """Return whether a complex pair alone is beyond the unit circle."""
+    return np.count_nonzero(np.abs(multipliers) > 1.0) == 2 and _leading(multipliers, error)[1]
 
 
 def _kind(multipliers: Complex[np.ndarray, " d"], error: Float[np.ndarray, " d"]) -> str:

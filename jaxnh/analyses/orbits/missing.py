@@ -5,9 +5,9 @@ of T alone, and Q2, of those met in two, Chao's estimator is (T − 1)/T · Q1²
 Q1 (Q1 − 1)/2 (Chao, Scand. J. Statist. 11 (1984) 265; of samples by incidence, with the interval on a logarithmic
 scale, Chao, Biometrics 43 (1987) 783).
 
-Where chances differ much that is too few. From Q3 and Q4 comes a better bound, which is higher by (T − 3)/(4T) · Q3/Q4
-· (Q1 − (T − 3)/(2 (T − 1)) · Q2 Q3/Q4) (Chiu, Wang, Walther and Chao, Biometrics 70 (2014) 671); the higher end is of
-this.
+Where chances differ much that is too few. From Q3 and Q4 comes a better bound, which is higher by (T − 3)/(4T) ·
+Q3/Q4 · (Q1 − (T − 3)/(2 (T − 1)) · Q2 Q3/Q4) (Chiu, Wang, Walther and Chao, Biometrics 70 (2014) 671); the higher end
+is of this.
 
 That interval is the point zero where Q1 is zero, or one without a Q2, though a few orbits may still be missing. Its
 upper end is therefore at least the 97.5 % quantile of the Poisson distribution of as many orbits as the known ones

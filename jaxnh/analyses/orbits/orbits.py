@@ -21,6 +21,7 @@ from jaxnh.analyses.orbits.averages import cycle_variables, motion_variables
 from jaxnh.analyses.orbits.carriers import carrier_variables, place_variables, places_of_orbits
 from jaxnh.analyses.orbits.measurement import measure
 from jaxnh.analyses.orbits.search import WINDOWS, search, search_neighbours
+from jaxnh.analyses.orbits.symmetry import add_images, check_signs
 from jaxnh.analyses.orbits.tables import OWN_NAMES, LaneOrbits, counts_group, counts_table, orbits_group
 from jaxnh.analyses.periodic.attractor_survey import first_points
 from jaxnh.analyses.periodic.close_returns import WINDOW
@@ -40,8 +41,9 @@ def periods(options: OrbitsOptions, lanes: int) -> float:
 
 
 def check(options: OrbitsOptions, setting: Setting) -> None:
-    """Check the box of random starts, and that no parameter or coordinate has a name that the group needs."""
+    """Check the box of random starts, the symmetry, and that no name is one that the group needs."""
     check_names("orbits", OWN_NAMES, setting)
+    check_signs(setting.flow, options.symmetry or ())
     if options.box:
         check_box(options.box, setting, "box")
 
@@ -65,6 +67,9 @@ def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
         known = search(options, batch, lanes, strobes[0], u[numbers])
         with lanes.stage(f"orbits: those of neighbours in {batch.count} lanes", 0):
             known = search_neighbours(known, batch, lanes, strobes[0], pairs)
+        if options.symmetry:
+            with lanes.stage(f"orbits: images in {batch.count} lanes", 0):
+                known = add_images(known, batch, lanes, strobes[0], options.symmetry)
         with lanes.stage("orbits: periods and multipliers", 0):
             measured = {
                 n: measure(batch, lanes, strobes, cycles, known.size)
@@ -72,11 +77,15 @@ def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
                 if len(cycles.lane)
             }
         parts.append(LaneOrbits(numbers, batch, known, measured))
-    return _groups(options, lanes, parts, u)
+    return _groups(options, lanes, parts, u, [axis.values for axis in sweep.axes])
 
 
 def _groups(
-    options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[LaneOrbits], u: Float[np.ndarray, "lanes d"]
+    options: OrbitsOptions,
+    lanes: LaneRunner,
+    parts: Sequence[LaneOrbits],
+    u: Float[np.ndarray, "lanes d"],
+    axes: Sequence[Float[np.ndarray, " values"]],
 ) -> dict[str, xr.Dataset]:
     """Return the groups of orbits that are measured, and what is asked for of attractors and averages."""
     count, motions, places = len(u), [], [None] * len(parts)
@@ -85,7 +94,7 @@ def _groups(
         with lanes.stage("orbits: distances from attractors", float(count * options.attractor)):
             motions = [points_after(part.batch, lanes, u[part.numbers], 0, options.attractor) for part in parts]
             places = [places_of_orbits(part, lanes, motion) for part, motion in zip(parts, motions, strict=True)]
-        orbits = orbits.assign(place_variables(parts, places, count) | carrier_variables(parts, places, count))
+        orbits = orbits.assign(place_variables(parts, places, count) | carrier_variables(parts, places, axes))
     if options.averages:
         counts = counts.assign(cycle_variables(parts, places, counts))
         if motions:

@@ -44,12 +44,14 @@ class Search(NamedTuple):
         rounds: that were made of each lane, (lanes,).
         size: of the motion in each section coordinate, (lanes, d).
         moving: whether the motion from the start state stays finite, (lanes,).
+        images: of each orbit the number of its image under a symmetry, by number of returns; None: not asked for.
     """
 
     cycles: Mapping[int, Cycles]
     rounds: Int[np.ndarray, " lanes"]
     size: Float[np.ndarray, "lanes d"]
     moving: Bool[np.ndarray, " lanes"]
+    images: Mapping[int, Int[np.ndarray, " cycles"]] | None = None
 
 
 def search(

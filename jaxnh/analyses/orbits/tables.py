@@ -17,6 +17,7 @@ from jaxnh.analyses.orbits.entropy import topological_entropy
 from jaxnh.analyses.orbits.measurement import STABILITIES, MeasuredCycles
 from jaxnh.analyses.orbits.missing import missing_orbits
 from jaxnh.analyses.orbits.search import Search
+from jaxnh.analyses.orbits.symmetry import distinct
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.maps.section import outputs, plot_plane
@@ -28,7 +29,8 @@ AVERAGES = "cycle_escape_rate", "cycle_exponent", "cycle_return_time", "motion_e
 OWN_NAMES = (
     "orbit", "n", "multiplier", "part", "iterate", "period", "time", "time_error", "multipliers", "multipliers_error",
     "index", "stability", "met", "residual", "number", "missing", "missing_low", "missing_high", "entropy",
-    "entropy_error", "rounds", "distance", "place", "least_period", "least_unstable", "carrier", "status",
+    "entropy_error", "rounds", "distance", "place", "least_period", "least_unstable", "carrier", "scenario", "image",
+    "distinct", "status",
     *(f"{name}{ending}" for name in AVERAGES for ending in ("", "_error")),
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
@@ -102,10 +104,20 @@ def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[Lane
             "number of rounds in which the orbit was met; of one known from a neighbour alone 0",
         ),
         "residual": variable(dims, column("residual"), "largest component of P(u) − u, in sizes of the motion"),
+        **_image_variables(rows, whole),
         **_coordinates(lanes, rows, whole, limit),
         "status": _status(parts, count),
     }
     return xr.Dataset(variables, attrs=section_attrs(batch))
+
+
+def _image_variables(rows: Sequence[OrbitRow], whole: Any) -> dict[str, Entry]:
+    """Return the number of the image of every orbit in its lane, where a symmetry is given."""
+    if not rows or rows[0].part.search.images is None:
+        return {}
+    numbers = [row.place[(row.part.search.images or {})[row.n]] + 1 for row in rows]
+    words = "number of the orbit that a symmetry makes of it, in order of its lane; its own: it is symmetric"
+    return {"image": number_variable((LANE, "orbit"), whole(numbers, 0).astype(np.int32), words, ("none",))}
 
 
 def gather(rows: Sequence[OrbitRow], values: Sequence[np.ndarray], count: int, empty: float) -> np.ndarray:
@@ -135,11 +147,14 @@ def counts_group(limit: int, parts: Sequence[LaneOrbits], count: int) -> xr.Data
     """Return numbers of orbits and of those that are missing, over (lane, n), and their growth."""
     number, estimates = np.zeros((count, limit), np.int32), np.zeros((3, count, limit))
     growth, rounds = np.full((2, count), np.nan), np.zeros(count, np.int32)
+    apart, related = np.zeros((count, limit), np.int32), any(part.search.images is not None for part in parts)
     for part in parts:
         for place, lane in enumerate(part.numbers):
             for n, cycles in part.search.cycles.items():
                 met = cycles.rounds[cycles.lane == place]
                 number[lane, n - 1] = len(met)
+                if part.search.images is not None:
+                    apart[lane, n - 1] = distinct(cycles, part.search.images[n], place)
                 estimates[:, lane, n - 1] = missing_orbits(met, int(part.search.rounds[place]))
             growth[:, lane] = topological_entropy(number[lane].astype(float), estimates[2, lane])
             rounds[lane] = part.search.rounds[place]
@@ -151,6 +166,11 @@ def counts_group(limit: int, parts: Sequence[LaneOrbits], count: int) -> xr.Data
         "missing": variable(of_n, estimates[0], "estimated number of orbits of n returns that are missing"),
         "missing_low": variable(of_n, estimates[1], f"lower end {words}"),
         "missing_high": variable(of_n, estimates[2], f"upper end {words}"),
+        **(
+            {"distinct": variable(of_n, apart, "number of these of which none is the image of another")}
+            if related
+            else {}
+        ),
         "entropy": variable(LANE, growth[0], "topological entropy per return, from the numbers of orbits"),
         "entropy_error": variable(LANE, growth[1], "error of the topological entropy"),
         "rounds": variable(LANE, rounds, "number of rounds of the search"),
