@@ -109,7 +109,16 @@ def test_leaves_of_the_henon_attractor_come_to_the_saddle_in_it_and_to_no_other(
     settled = np.broadcast_to(np.array(motion[88:]), (2, 513, 2))
     x = np.sort(np.roots([1.4, 0.7, -1.0]))
     saddles = np.stack([x, 0.3 * x], axis=1)[:, None]
-    nearest = leaf_distances(at, batch.chart, settled, saddles, np.zeros(2, int), np.ones((2, 2)), np.full(2, 1e-5))
+    nearest = leaf_distances(
+        at,
+        lambda u, lane: np.asarray(at(u, lane).image),
+        batch.chart,
+        settled,
+        saddles,
+        np.zeros(2, int),
+        np.ones((2, 2)),
+        np.full(2, 1e-5),
+    )
     assert np.isinf(nearest[0])
     assert nearest[1] < 1e-5
     assert np.min(np.linalg.norm(settled[1] - saddles[1], axis=1)) > 1e-3

@@ -155,8 +155,10 @@ def test_the_saddle_of_a_discrete_lorenz_attractor():
     exact = np.linalg.eigvals(derivative)
     exact = exact[np.argsort(-np.abs(exact))]
     assert exact[0].real < -1.0 < exact[2].real < 0.0 < exact[1].real < 1.0
-    options = "analyses={orbits: {max_period: 1, attractor: 512, rounds: 4}}"
-    orbits = groups_of("discrete_lorenz", "sweep.energy={values: [752.0]}", STEPS, options)["orbits"].isel(energy=0)
+    options = "analyses={orbits: {max_period: 1, attractor: 2048, rounds: 4}}"
+    steps = "accuracy={solver: verner9, steps: 160}"
+    orbits = groups_of("discrete_lorenz", "sweep.energy={values: [752.0]}", steps, options)["orbits"].isel(energy=0)
+    assert jaxnh.labels(orbits["carrier"]).item() == "discrete lorenz"  # by an unstable leaf: points are too far away
     multipliers = orbits["multipliers"].to_numpy()[:, :3, 0]
     saddle = int(np.argmin(np.abs(multipliers[:, 0] - exact[0].real)))
     assert np.abs(multipliers[saddle] - exact.real).max() < 1e-7
@@ -206,3 +208,23 @@ def test_exponents_and_energy():
         energy = 0.5 * moving - WEIGHT * np.sum(r * vertical, axis=0)
         assert np.abs(energy / [690.0, 725.0] - 1.0).max() < 1e-10
     assert np.abs(np.subtract(end.q, start.q)).max() > 0.1
+
+
+@pytest.mark.slow
+def test_two_kinds_of_chaos():
+    """Of the return map of three dimensions: one positive exponent and two negative, or like moduli and one near zero.
+
+    As the abstract says (Borisov et al. 2012). On a level of the energy there is the flow's zero besides.
+    """
+    sweep = "sweep={energy: {values: [386.0, 741.0]}, delta: {values: [0.3, 0.5]}}"
+    options = "analyses={lyapunov: {transient: 512, periods: 1024, exponents: 4, method: averages}}"
+    data = groups_of("celtic_chart", sweep, "accuracy.target=1.0e-7", options)["lyapunov"]
+    values, error = (data[name].to_numpy()[[0, 1], [0, 1]] for name in ("exponents", "exponents_error"))
+    conservative, strange = values
+    assert conservative[0] > 10.0 * error[0, 0]
+    assert abs(conservative[0] + conservative[3]) < 0.1 * conservative[0]
+    assert np.abs(conservative[1:3]).max() < 0.1 * conservative[0]
+    assert strange[0] > 10.0 * error[1, 0]
+    assert abs(strange[1]) <= error[1, 1] + 0.01 * strange[0]
+    assert strange[2] < -0.2 * strange[0]
+    assert strange[2] + error[1, 2] < 0.0

@@ -16,12 +16,13 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, flag, number_variable, variable
-from jaxnh.analyses.batch import LaneRunner
+from jaxnh.analyses.batch import LaneRunner, select
 from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
 from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.orbits.tables import LaneOrbits, gather, rows_of
 from jaxnh.analyses.orbits.unstable_leaves import leaf_distances
 from jaxnh.analyses.periodic.location import refined_maps
+from jaxnh.maps.iterate import section_map
 
 PLACES = ("unknown", "inside", "outside", "undecided")
 """Meanings of the flags 0 to 3 of `place`."""
@@ -33,6 +34,7 @@ CARRIERS = (
 """Meanings of the flags 0 to 8 of `carrier`."""
 
 _TYPICAL, _FAR = 0.99, 4.0
+_TILE = 16  # lanes: of a piece of a leaf there are few points
 _CLOSE = 1e-6  # sizes: an orbit this near is one that the motion has come to
 
 
@@ -99,9 +101,13 @@ def _by_leaves(
     open_ = np.flatnonzero(one & (places.place == PLACES.index("undecided")))
     if not len(open_) or batch.chart.dimension == 1:
         return places
-    lane, period = part.search.cycles[n].lane[open_], map_of_lanes(batch, lanes, refined_maps(batch)[0])
+    lane, strobe, p = part.search.cycles[n].lane[open_], refined_maps(batch)[0], dict(batch.p)
+
+    def image(u: Float[np.ndarray, "points d"], lane: Int[np.ndarray, " points"]) -> Float[np.ndarray, "points d"]:
+        return np.asarray(lanes(section_map, (strobe, np.int32(1)), (u, select(p, lane)), tile=_TILE))
+
     of_lanes = motion[lane], measured.points[open_], lane, part.search.size[lane], typical[open_]
-    found = leaf_distances(period, batch.chart, *of_lanes)
+    found = leaf_distances(map_of_lanes(batch, lanes, strobe), image, batch.chart, *of_lanes)
     distance, place, near = places.distance.copy(), places.place.copy(), places.near.copy()
     distance[open_] = np.minimum(distance[open_], found)
     inside = open_[found <= typical[open_]]

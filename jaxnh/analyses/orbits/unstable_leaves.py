@@ -11,6 +11,7 @@ A piece of such a manifold that reaches to both sides of the saddle is bisected,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ from jaxtyping import Bool, Float, Int
 from jaxnh.orbits.shooting import Period
 from jaxnh.systems.chart import Chart
 
-_POINTS = 33  # of a piece
+_POINTS = 9  # of a piece
+_LONGEST = 4096  # points at the end of a motion that are looked at
 _GROWTH = np.log(1e3)  # of a piece from where it is straight to where it reaches past the saddle
 _WIDTH = (
     0.05  # of a piece, in units of its distance from the saddle: straight, and wider than the stable manifold bends
@@ -49,6 +51,7 @@ class Passage(NamedTuple):
 
 def leaf_distances(
     period: Period,
+    image: Callable[[Float[np.ndarray, "points d"], Int[np.ndarray, " points"]], Float[np.ndarray, "points d"]],
     chart: Chart,
     motion: Float[np.ndarray, "cycles points d"],
     points: Float[np.ndarray, "cycles n d"],
@@ -63,6 +66,7 @@ def leaf_distances(
 
     Args:
         period: P and ∂P/∂u at points of lanes.
+        image: P alone, which is called some thousand times.
         motion: points of the motion that has settled, of each orbit's lane.
         points: of the orbits.
         lane: that they are of.
@@ -70,6 +74,7 @@ def leaf_distances(
         wanted: distances below which nothing nearer is looked for.
     """
     cycles, n, d = points.shape
+    motion = motion[:, -_LONGEST:]
     stable = _left_vectors(np.asarray(period(points.reshape(-1, d), np.repeat(lane, n)).monodromy), points, size)
     passage = _passages(period, chart, motion, points, stable, lane, size)
     nearest, u = np.full((cycles, n), np.inf), np.zeros((cycles, _POINTS, d))
@@ -90,7 +95,7 @@ def leaf_distances(
             break
         if len(moving):
             flat = u[moving].reshape(-1, d)
-            u[moving] = np.asarray(period(flat, np.repeat(lane[moving], _POINTS)).image).reshape(-1, _POINTS, d)
+            u[moving] = image(flat, np.repeat(lane[moving], _POINTS)).reshape(-1, _POINTS, d)
         at = np.where(passing, (at + 1) % n, at)
     return nearest.max(axis=1)
 

@@ -7,6 +7,7 @@ field, or of its derivative along the motion at a corner, stays in one of the ha
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +23,7 @@ from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import State
+from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 
 _STEPS = 16  # of a motion in which the field changes most, that are halved
 _HALVINGS = 30
@@ -61,7 +63,7 @@ def find_kink(
     end = jax.tree.map(lambda leaf: leaf[1:points], passed)
     ends = times[: points - 1], times[1:points], begin, end
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
     @jax.vmap
     def field(t0: Array, t1: Array, y0: State, y1: State, share: Array) -> Float[Array, "2 d"]:
         """The field at a share of a step, and its derivative along the step."""
