@@ -43,6 +43,11 @@ def observable(flow: Flow, name: str, t: ArrayLike, y: State, p: Parameters) -> 
     return jnp.asarray(value, jnp.float64)
 
 
+def time_unit(flow: Flow, p: Parameters) -> ArrayLike:
+    """How long the unit of a flow's time is: its period where time is over the period, else one."""
+    return _definition(flow, p).get("time_unit_of_rates", 1.0)
+
+
 def smooth_branch(flow: PiecewiseSmooth, sides: tuple[float, ...]) -> FirstOrder:
     """The flow on one side of its walls and surfaces, and by the same field beyond them.
 

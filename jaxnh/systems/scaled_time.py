@@ -18,7 +18,7 @@ def in_periods(define: Callable[..., Definition]) -> Callable[..., Definition]:
         definition = define(**p)
         period, rhs = definition["period"], definition["rhs"]
         scaled = {name: _in_shares(period, each) for name, each in definition.get("observables", {}).items()}
-        more = {"observables": scaled} if scaled else {}
+        more = {"time_unit_of_rates": period, **({"observables": scaled} if scaled else {})}
         rates = _in_shares(period, rhs)
         return {**definition, **more, "period": 1.0, "rhs": lambda y, t: tuple(period * rate for rate in rates(y, t))}
 

@@ -1,4 +1,4 @@
-"""Curves of cycles that keep a condition, against closed forms: amplitude, duration, grazing, and where they end."""
+"""Curves of cycles that keep a condition, against closed forms: amplitude, mean, duration, grazing, and their ends."""
 
 from __future__ import annotations
 
@@ -36,7 +36,11 @@ def system(mu=0.5, nu=1.0):
     def power(state, t):
         return jnp.exp(state[0])
 
-    return {"rhs": rhs, "coordinates": ("x", "y"), "observables": {"height": height, "power": power}}
+    def across(state, t):
+        return 0.25 - state[0] ** 2
+
+    observables = {"height": height, "power": power, "across": across}
+    return {"rhs": rhs, "coordinates": ("x", "y"), "observables": observables}
 """
 
 PUMPED_DUFFING = """
@@ -129,6 +133,45 @@ def test_amplitude_of_an_observable(tmp_path):
     assert (nu.min(), nu.max()) == pytest.approx((0.8, 1.2))
 
 
+def test_exponents_equal_to_zero_and_their_sum(tmp_path):
+    """Of z′ = (1/4 − x²)z along the circle x² + y² = μ/ν the exponent is 1/4 − μ/(2ν); that of the circle is −2μ."""
+    options = "n_values: 1, ds_max: 0.2, mean: {across: 0.0}, exponent_sum: -1.0"
+    data = data_of(curves_of(tmp_path, HOPF, "{x: 0.5}", HOPF_SWEEP, options, UP))
+    assert kinds_of(data) == ["mean", "exponent_sum"]
+    assert data["condition"].values.tolist() == ["mean of across = 0", "exponent_sum = -1"]
+    mu, nu, mu_error, nu_error = points_of(data, 0, "mu", "nu")
+    assert np.all(np.abs(mu - 0.5 * nu) <= mu_error + 0.5 * nu_error)
+    assert max(mu_error.max(), nu_error.max()) < 1e-8
+    assert (nu.min(), nu.max()) == pytest.approx((0.8, 1.2))
+    mu, nu, mu_error, nu_error = points_of(data, 1, "mu", "nu")
+    assert np.all(np.abs(mu - 0.5) <= mu_error)
+    assert mu_error.max() < 1e-8
+    assert (nu.min(), nu.max()) == pytest.approx((0.8, 1.2))
+
+
+@pytest.mark.slow
+def test_mean_power_and_exponents_over_the_drives_frequency(tmp_path):
+    """Of the linear oscillator, whose period is swept: v² has the mean (ωF)²/2((1 − ω²)² + 4ζ²ω²), and −2ζ is the sum."""
+    text = OSCILLATOR.replace("}\n", ', "observables": {"square": lambda y, t: y[1] ** 2}}\n')
+    sweep = "zeta: {start: 0.05, stop: 0.3, count: 3}, omega: {start: 0.7, stop: 1.3, count: 2}"
+    options = "n_values: 2, ds_max: 0.1, mean: {square: 0.16}, exponent_sum: -0.3"
+    data = data_of(curves_of(tmp_path, text, "{x: 0.1}", sweep, options))
+    assert {*kinds_of(data)} == {"mean", "exponent_sum"}
+    for k, kind in enumerate(kinds_of(data)):
+        zeta, omega, zeta_error, omega_error = points_of(data, k, "zeta", "omega")
+        assert max(zeta_error.max(), omega_error.max()) < 1e-8
+        if kind == "exponent_sum":
+            assert np.all(np.abs(zeta - 0.15) <= zeta_error)
+            assert (omega.min(), omega.max()) == pytest.approx((0.7, 1.3))
+            continue
+
+        def gap(zeta, omega):
+            return 0.045 * omega**2 - 0.16 * ((1 - omega**2) ** 2 + 4 * zeta**2 * omega**2)
+
+        slopes = [np.abs(gap(zeta + a, omega + b) - gap(zeta - a, omega - b)) / 2e-6 for a, b in ((1e-6, 0), (0, 1e-6))]
+        assert np.all(np.abs(gap(zeta, omega)) <= slopes[0] * zeta_error + slopes[1] * omega_error + 1e-15)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("names", "factor"), [("{v: 1.4}", 2.0), ("{x: 1.0}", None)])
 def test_amplitude_with_a_clock(tmp_path, names, factor):
@@ -179,6 +222,20 @@ SET_UPS = {
         (1.4, 2.0),
         lambda level: {"amplitude": {"power": level}},
         lambda level, mu, nu: mu - np.arcsinh(0.5 * level) ** 2 * nu,
+    ),
+    "mean": SetUp(
+        (HOPF, "{x: 0.5}", HOPF_SWEEP, UP),
+        ("mu", "nu"),
+        (-0.05, 0.0),
+        lambda level: {"mean": {"across": level}},
+        lambda level, mu, nu: mu - 2.0 * (0.25 - level) * nu,
+    ),
+    "exponent_sum": SetUp(
+        (HOPF, "{x: 0.5}", HOPF_SWEEP, UP),
+        ("mu", "nu"),
+        (-1.2, -0.8),
+        lambda level: {"exponent_sum": level},
+        lambda level, mu, nu: mu + 0.5 * level + 0.0 * nu,
     ),
     "duration": SetUp(
         (PUMPED_DUFFING, "{x: 0.5, v: 0.5}", ENERGY_SWEEP, UP.replace("coordinate: y", "coordinate: x")),
@@ -365,11 +422,11 @@ def test_a_curve_ends_where_another_part_goes_beyond_the_level(tmp_path):
 
 def test_what_is_not_met_is_said(tmp_path):
     """No curve, and a line for each condition."""
-    data = curves_of(tmp_path, HOPF, "{x: 0.5}", HOPF_SWEEP, "n_values: 1, maximum: {x: 3.0}, duration: 9.0", UP)
+    data = curves_of(tmp_path, HOPF, "{x: 0.5}", HOPF_SWEEP, "n_values: 1, maximum: {x: 3.0}, exponent_sum: 0.0", UP)
     said = data.tree()["curves"].attrs["warnings"].splitlines()
     assert said == [
-        "curves: there is no cycle with duration = 9 to follow over mu and nu",
         "curves: there is no cycle with maximum of x = 3 to follow over mu and nu",
+        "curves: there is no cycle with exponent_sum = 0 to follow over mu and nu",
     ]
 
 

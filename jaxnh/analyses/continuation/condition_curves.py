@@ -31,6 +31,7 @@ from jaxnh.orbits.collocation.conditions import (
     ExtremumCondition,
     Height,
     HeightValues,
+    MeanCondition,
     first_point,
     refined_points,
 )
@@ -42,10 +43,10 @@ from jaxnh.orbits.continuation.paths import CLOSED, STEPS, StepControl
 from jaxnh.systems.observables import observable, observable_names, smooth_branch, surface_names
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
-CONDITIONS = ("duration", "maximum", "minimum", "grazing", "amplitude")
+CONDITIONS = ("duration", "maximum", "minimum", "grazing", "amplitude", "mean", "exponent_sum")
 """Conditions by number."""
 
-DURATION, MAXIMUM, MINIMUM, GRAZING, AMPLITUDE = range(len(CONDITIONS))
+DURATION, MAXIMUM, MINIMUM, GRAZING, AMPLITUDE, MEAN, EXPONENT_SUM = range(len(CONDITIONS))
 
 _TILE = 512
 _NEAR = 5e-3  # of invariants, in sizes and widths: chords between points of a curve are nearer to it
@@ -95,11 +96,14 @@ class ConditionCurve(NamedTuple):
 
 def conditions_of(options: CurvesOptions) -> list[CycleCondition]:
     """The conditions that options ask for; of grazing one, whatever surfaces there are."""
-    extrema = ((MAXIMUM, options.maximum), (MINIMUM, options.minimum), (AMPLITUDE, options.amplitude))
+    observed = (
+        (MAXIMUM, options.maximum), (MINIMUM, options.minimum), (AMPLITUDE, options.amplitude), (MEAN, options.mean)
+    )  # fmt: skip
     return [
         *([CycleCondition(DURATION, "", options.duration)] if options.duration else []),
-        *(CycleCondition(kind, name, value) for kind, each in extrema for name, value in (each or {}).items()),
+        *(CycleCondition(kind, name, value) for kind, each in observed for name, value in (each or {}).items()),
         *([CycleCondition(GRAZING, "", 0.0)] if options.grazing else []),
+        *([] if options.exponent_sum is None else [CycleCondition(EXPONENT_SUM, "", options.exponent_sum)]),
     ]
 
 
@@ -183,7 +187,7 @@ def _on_one_side(batch: LaneBatch, sides: tuple[float, ...]) -> LaneBatch:
     return replace(batch, system=smooth, start=start)
 
 
-_Condition = DurationCondition | ExtremumCondition
+_Condition = DurationCondition | ExtremumCondition | MeanCondition
 
 
 class _CyclePlane:
@@ -230,7 +234,9 @@ class _CyclePlane:
             else:
                 guards = [(height, its) for _, height, its in surfaces]
                 at = self._problem, self._height(one.name), one.value
-                if one.kind == AMPLITUDE:
+                if one.kind in (MEAN, EXPONENT_SUM):
+                    made.append((one, MeanCondition(*at, guards)))
+                elif one.kind == AMPLITUDE:
                     made.append((one, AmplitudeCondition(*at, guards)))
                 else:
                     made.append((one, ExtremumCondition(*at, 1.0 if one.kind == MAXIMUM else -1.0, guards)))
@@ -297,7 +303,7 @@ class _CyclePlane:
         return bool(np.linalg.norm(begun + shares[:, None] * chords, axis=1).min(initial=np.inf) <= _NEAR)
 
     def _height(self, name: str) -> Height:
-        """An observable, or the height of a wall or surface, with its derivatives."""
+        """An observable, the height of a wall or surface, or by no name the divergence, with derivatives."""
         batch, lanes, names, clock = self._batch, self._lanes, self._names, self._clock
 
         def height(u: np.ndarray, t: np.ndarray, values: np.ndarray) -> HeightValues:

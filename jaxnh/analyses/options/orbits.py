@@ -135,6 +135,12 @@ class CurvesOptions(Continuation):
         default=None,
         description="Observables whose largest less least value along a cycle is one given, each with a curve",
     )
+    mean: dict[str, float] | None = Field(
+        default=None, description="Observables whose mean in time along a cycle is one given, each with a curve"
+    )
+    exponent_sum: float | None = Field(
+        default=None, description="Sum of the Floquet exponents of cycles along a curve of their own: 0 keeps volumes"
+    )
     grazing: Extra = Field(
         default=None, description="Whether cycles that touch a wall of a jump or the surface of a switch are followed"
     )
@@ -142,7 +148,8 @@ class CurvesOptions(Continuation):
     @property
     def conditional(self) -> bool:
         """Tell whether cycles that keep a condition are followed."""
-        return any((self.duration, self.maximum, self.minimum, self.amplitude, self.grazing))
+        asked = any((self.duration, self.maximum, self.minimum, self.amplitude, self.mean, self.grazing))
+        return asked or self.exponent_sum is not None
 
     @model_validator(mode="after")
     def _check(self) -> CurvesOptions:
@@ -153,7 +160,8 @@ class CurvesOptions(Continuation):
             raise rule("without periodic orbits there are curves of equilibria alone: give equilibria", "max_period")
         if self.bifurcations is False and not (self.conditional or self.equilibria):
             raise rule(
-                "then nothing is left to follow: give duration, maximum, minimum, amplitude or grazing", "bifurcations"
+                "then nothing is left to follow: give duration, maximum, minimum, amplitude, mean, exponent_sum or grazing",
+                "bifurcations",
             )
         return self
 

@@ -1,4 +1,4 @@
-"""Conditions on cycles over two parameters: how long they take, and an extremum of a function along them. Host code.
+"""Conditions on cycles over two parameters: how long they take, an extremum or the mean of a function. Host code.
 
 A cycle with an extremum begins there, so that the condition is one on its first state, which is known to a higher order
 than states between the ends of intervals. With a clock the time of the extremum is a parameter more.
@@ -83,6 +83,10 @@ class DurationCondition(NamedTuple):
         return solution
 
 
+_Watched = tuple[Height, Float[np.ndarray, "lanes 1"] | float, float]
+"""A function, the level that it stays on one side of, and the sign of what is beyond."""
+
+
 class ExtremumCondition:
     """Cycles along which a function's largest value, or its least one, is a level; they begin where they have it.
 
@@ -122,12 +126,7 @@ class ExtremumCondition:
 
     def endings(self, solution: BoundarySolution) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
         """Cycles that go beyond the level elsewhere, or beyond what guards them."""
-        (states, shares), beyond = _sampled(solution), np.zeros(len(solution.duration), bool)
-        with np.errstate(invalid="ignore"):
-            for height, level, sign in self._watched(solution):
-                values = sign * (self._values(height, solution, states, shares) - level)
-                beyond |= values.max(axis=1) > _BEYOND * np.ptp(values, axis=1)
-        return {BEYOND: beyond}
+        return {BEYOND: _beyond(solution, self._watched(solution))}
 
     def nodes(self, solution: BoundarySolution) -> Float[np.ndarray, " k"]:
         """None: cycles begin at the extremum."""
@@ -136,15 +135,15 @@ class ExtremumCondition:
     def excess(self, solution: BoundarySolution) -> float:
         """The height of a cycle, one lane, above the level; not a number where it is beyond what guards it."""
         states, shares = _sampled(solution)
-        if any((sign * self._values(height, solution, states, shares)).max() > 0.0 for height, sign in self._guards):
+        if _meets(solution, self._guards):
             return np.nan
-        values = self._sign * (self._values(self._height, solution, states, shares) - self._level)
+        values = self._sign * (_values(self._height, solution, states, shares) - self._level)
         return float(values.max())
 
     def begun(self, solution: BoundarySolution) -> BoundarySolution:
         """The cycle, one lane, from its extremum on."""
         states, shares = _sampled(solution)
-        values = self._sign * self._values(self._height, solution, states, shares)[0]
+        values = self._sign * _values(self._height, solution, states, shares)[0]
         share = float(shares[0, np.argmax(values)]) % 1.0
         mesh = np.unique(np.concatenate([[0.0, 1.0], (solution.path.mesh[0] - share) % 1.0]))
         parameters = solution.values.copy()
@@ -152,22 +151,9 @@ class ExtremumCondition:
             parameters[0, 0] += share * solution.duration[0]
         return solution._replace(path=rotated(solution.path, share, mesh), values=parameters)
 
-    def _watched(self, solution: BoundarySolution) -> list[tuple[Height, Float[np.ndarray, "lanes 1"] | float, float]]:
+    def _watched(self, solution: BoundarySolution) -> list[_Watched]:
         """Functions, the levels that they stay on one side of, and the signs of what is beyond."""
         return [(self._height, self._level, self._sign), *((height, 0.0, sign) for height, sign in self._guards)]
-
-    def _values(
-        self,
-        height: Height,
-        solution: BoundarySolution,
-        states: Float[np.ndarray, "lanes k d"],
-        shares: Float[np.ndarray, "lanes k"],
-        which: int = 0,
-    ) -> Float[np.ndarray, "lanes k"]:
-        """A function at states along cycles, or its rate."""
-        (lanes, k, d), times = states.shape, solution.duration[:, None] * shares
-        values = height(states.reshape(-1, d), times.ravel(), np.repeat(solution.values, k, axis=0)).value
-        return np.asarray(values)[:, which].reshape(lanes, k)
 
 
 class AmplitudeCondition(ExtremumCondition):
@@ -199,12 +185,12 @@ class AmplitudeCondition(ExtremumCondition):
 
     def excess(self, solution: BoundarySolution) -> float:
         """The amplitude of a cycle, one lane, above the level; not a number where it is beyond what guards it."""
-        values = self._values(self._height, solution, *_sampled(solution))
+        values = _values(self._height, solution, *_sampled(solution))
         return super().excess(solution) - float(values.min())
 
-    def _watched(self, solution: BoundarySolution) -> list[tuple[Height, Float[np.ndarray, "lanes 1"] | float, float]]:
+    def _watched(self, solution: BoundarySolution) -> list[_Watched]:
         """The function, which stays below its first value, and the guards."""
-        first = self._values(self._height, solution, solution.path.ends[:, :1], np.zeros((len(solution.duration), 1)))
+        first = _values(self._height, solution, solution.path.ends[:, :1], np.zeros((len(solution.duration), 1)))
         [(height, _, sign), *guards] = super()._watched(solution)
         return [(height, first, sign), *guards]
 
@@ -213,17 +199,71 @@ class AmplitudeCondition(ExtremumCondition):
         states, shares = _sampled(solution)
         row, order = np.arange(len(shares)), np.argsort(shares, axis=1)
         states, shares = states[row[:, None], order], shares[row[:, None], order]
-        number = np.argmin(self._values(self._height, solution, states, shares), axis=1)
+        number = np.argmin(_values(self._height, solution, states, shares), axis=1)
         shares = np.concatenate([np.zeros((len(row), 1)), shares], axis=1)  # numbers are those of the sample before
         low, high = shares[row, number], shares[row, np.minimum(number + 2, shares.shape[1] - 1)]
         before, after = np.full((2, len(row)), np.nan)
         for _ in range(_ROUNDS):
             places = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _PLACES)
-            rates = self._values(self._height, solution, values_at(solution.path, places), places, 1)
+            rates = _values(self._height, solution, values_at(solution.path, places), places, 1)
             k = np.clip(np.argmax(rates > 0.0, axis=1), 1, _PLACES - 1)
             low, high, before, after = places[row, k - 1], places[row, k], rates[row, k - 1], rates[row, k]
         share = np.where(before * after < 0.0, before / np.where(before == after, 1.0, before - after), 0.5)
         return (low + share * (high - low))[:, None]
+
+
+class MeanCondition:
+    """Cycles along which the mean of a function in time is a level, as one of Floquet's exponents is that of a rate.
+
+    With a clock cycles begin when they have begun, and take as long.
+
+    Args:
+        problem: the field, whose first parameter with a clock is the time when cycles begin.
+        height: the function; its rate is not asked for.
+        level: the value.
+        guards: other functions with their signs that have to stay below zero along the cycle.
+    """
+
+    def __init__(
+        self, problem: Problem, height: Height, level: float, guards: Sequence[tuple[Height, float]] = ()
+    ) -> None:
+        self._problem, self._height, self._level, self._guards = problem, height, level, guards
+        self.begins = problem.clock
+
+    def at(self, solution: BoundarySolution) -> list[PointCondition]:
+        """The mean by the Gauss points is the level; with a clock the duration and the first time are known."""
+        path, problem, weights = solution.path, self._problem, solution.path.measure
+        (lanes, _, _, d), q = path.stages.shape, len(problem.widths)
+        states, times = path.stages.reshape(-1, d), solution.duration[:, None, None] * path.places
+        many = np.repeat(solution.values, weights[0].size, axis=0)
+        known = self._height(states, times.ravel(), many)
+        stages = weights[..., None] * known.by_state[:, 0].reshape(path.stages.shape) * problem.size
+        by_values = known.by_values[:, 0].reshape(*weights.shape, q) * problem.widths
+        extra = np.zeros((lanes, 1 + q))
+        extra[:, 1:] = np.sum(weights[..., None] * by_values, axis=(1, 2))
+        missing = np.sum(weights * known.value[:, 0].reshape(weights.shape), axis=(1, 2)) - self._level
+        none = np.zeros_like(path.ends)
+        conditions = [PointCondition(Variation(none, stages, extra), missing)]
+        for column in range(2 if problem.clock else 0):
+            held = Variation(none, np.zeros_like(stages), np.tile(np.eye(1 + q)[column], (lanes, 1)))
+            conditions.append(PointCondition(held, np.zeros(lanes)))
+        return conditions
+
+    def endings(self, solution: BoundarySolution) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
+        """Cycles that go beyond what guards them."""
+        return {BEYOND: _beyond(solution, [(height, 0.0, sign) for height, sign in self._guards])}
+
+    def nodes(self, solution: BoundarySolution) -> Float[np.ndarray, " 0"]:
+        """None: the mean is of the order of the ends of intervals."""
+        return np.zeros(0)
+
+    def excess(self, solution: BoundarySolution) -> float:
+        """The mean along a cycle, one lane, above the level; not a number where it is beyond what guards it."""
+        return np.nan if _meets(solution, self._guards) else float(self.at(solution)[0].missing[0])
+
+    def begun(self, solution: BoundarySolution) -> BoundarySolution:
+        """The same cycle."""
+        return solution
 
 
 class RefinedPoints(NamedTuple):
@@ -320,3 +360,31 @@ def _sampled(solution: BoundarySolution) -> tuple[Float[np.ndarray, "lanes k d"]
     lanes, count, m, d = path.stages.shape
     states = np.concatenate([path.stages.reshape(lanes, count * m, d), path.ends[:, 1:]], axis=1)
     return states, np.concatenate([path.places.reshape(lanes, count * m), path.mesh[:, 1:]], axis=1)
+
+
+def _values(
+    height: Height,
+    solution: BoundarySolution,
+    states: Float[np.ndarray, "lanes k d"],
+    shares: Float[np.ndarray, "lanes k"],
+    which: int = 0,
+) -> Float[np.ndarray, "lanes k"]:
+    """A function at states along cycles, or its rate."""
+    (lanes, k, d), times = states.shape, solution.duration[:, None] * shares
+    values = height(states.reshape(-1, d), times.ravel(), np.repeat(solution.values, k, axis=0)).value
+    return np.asarray(values)[:, which].reshape(lanes, k)
+
+
+def _beyond(solution: BoundarySolution, watched: Sequence[_Watched]) -> Bool[np.ndarray, " lanes"]:
+    """Return whether cycles go beyond levels by more than the polynomials of intervals are wrong."""
+    beyond = np.zeros(len(solution.duration), bool)
+    with np.errstate(invalid="ignore"):
+        for height, level, sign in watched:
+            values = sign * (_values(height, solution, *_sampled(solution)) - level)
+            beyond |= values.max(axis=1) > _BEYOND * np.ptp(values, axis=1)
+    return beyond
+
+
+def _meets(solution: BoundarySolution, guards: Sequence[tuple[Height, float]]) -> bool:
+    """Return whether a cycle, one lane, goes beyond what guards it."""
+    return any((sign * _values(height, solution, *_sampled(solution))).max() > 0.0 for height, sign in guards)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxnh.orbits.collocation.equations import FieldValues
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.observables import observable
+from jaxnh.systems.observables import observable, time_unit
 
 
 def point_rates(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, names: tuple[str, ...]) -> FieldValues:
@@ -39,7 +39,7 @@ def height_rates(
     """An observable of a flow, and its rate along the motion; derivatives of both in the state; in time and parameters.
 
     Args:
-        name: of the observable (`systems.observables`).
+        name: of the observable (`systems.observables`); "": the divergence of the field, in units of time.
     """
     at = jnp.stack([jnp.asarray(x, u.dtype) for x in (t, *(p[key] for key in names))])
 
@@ -47,12 +47,18 @@ def height_rates(
         own = {**p, **{key: at[1 + k] for k, key in enumerate(names)}}
 
         def height(u: Array, t: Array) -> Array:
-            return observable(flow, name, t, flow.chart.state(u), own)
+            return observable(flow, name, t, flow.chart.state(u), own) if name else _divergence(flow, u, t, own)
 
         rate, values = _rate_and_values(flow, u, at[0], own, names)
         return jnp.stack(jax.jvp(height, (u, at[0]), (rate(u, values), jnp.ones_like(at[0]))))
 
     return both(u, at), *jax.jacfwd(both, (0, 1))(u, at)
+
+
+def _divergence(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters) -> Float[Array, ""]:
+    """The trace of the derivative of the rates: its mean along a cycle is the sum of Floquet's exponents (Liouville)."""
+    rate, values = _rate_and_values(flow, u, t, p, ())
+    return jnp.trace(jax.jacfwd(rate)(u, values)) / time_unit(flow, p)
 
 
 class EigenvectorRates(NamedTuple):
