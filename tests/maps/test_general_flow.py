@@ -10,15 +10,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 
 from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
-from jaxnh.maps.general_flow import general_strobe
+from jaxnh.maps.general_flow import general_strobe, time_split
 from jaxnh.maps.iterate import derivatives, iterate, section_map
+from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, dopri8, tsit5
 from jaxnh.solvers.diffrax_solvers import DiffraxSteps
+from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.systems.first_order import first_order
 from jaxnh.systems.free_particle import definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import disturbed_speed
@@ -139,3 +143,33 @@ def test_derivatives_of_a_system_of_its_own_parameters(lanes):
     by_state, by_p = lanes(jacfwd, (strobe,), (u, p))
     assert np.abs(monodromy - by_state).max() < 1e-10 * np.abs(monodromy).max()
     assert np.abs(slope - by_p["a"]).max() < 1e-10 * np.abs(slope).max()
+
+
+@pytest.mark.parametrize(("terms", "arrays"), [(4, True), (15, False)], ids=["small field", "large field"])
+def test_tangents_in_a_loop_are_an_array_or_apart(terms, arrays):
+    """Of a small field they are one array, of 120 equations each by itself; they are moved by exp(A t) either way."""
+    draws = np.random.default_rng(3).uniform(-1.0, 1.0, (terms, 2, 2)) / terms
+
+    def linear():
+        def rhs(y, t):
+            return tuple(sum(a[i, 0] * y[0] + a[i, 1] * y[1] for a in draws) for i in range(2))
+
+        return {"rhs": rhs, "coordinates": ("x", "y")}
+
+    system = first_order(linear, {})
+    assert (100 < time_split(system).size <= 150) != arrays
+    strobe = make_return_map(system, in_loop(tsit5), 64)
+    state = jax.tree.map(jnp.asarray, system.start({"x": 1.0, "y": -2.0}))
+    along = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, -1.0]])
+    tangents = tuple(Tangent(jax.tree.unflatten(jax.tree.structure(state), list(jnp.asarray(v)))) for v in along)
+
+    def pushed(state):
+        return strobe.pushforward(state, {}, tangents)
+
+    exact = scipy.linalg.expm(draws.sum(axis=0))
+    ended = jax.jit(pushed)(state)
+    columns = np.array([jax.tree.leaves(t.state) for t in ended.tangents]).T
+    np.testing.assert_allclose(columns, exact @ along.T, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(jax.tree.leaves(ended.state), exact @ [1.0, -2.0], rtol=0, atol=1e-11)
+    assert np.array(ended.volume) == pytest.approx(np.linalg.det(exact), rel=1e-11)
+    assert ("f64[3] = " in str(jax.make_jaxpr(pushed)(state))) == arrays
