@@ -167,7 +167,7 @@ def test_a_saddle_whose_directions_grow_at_two_rates():
         assert np.all((x >= 0.0) & (x <= 1.0) & (y >= 0.0) & (y <= 1.0))
 
 
-def repelling_cycle(fast=0.1, slow=0.06, repetition=0.0):
+def repelling_cycle(fast=0.05, slow=0.03, repetition=0.0):
     """The unit circle, from which motions part along x and along y, at two rates: 2π times these in a turn."""
     del repetition
 
@@ -181,20 +181,19 @@ def repelling_cycle(fast=0.1, slow=0.06, repetition=0.0):
 
 @pytest.mark.slow
 def test_a_saddle_on_a_section():
-    """κ is the sum of both rates, as the share of motions that stay is the product of two; D = 0; x and y come to 0."""
+    """κ is the sum of both rates, as the share of motions that stay is the product of two; D = 0.
+
+    Of the first crossing, which comes soon, nothing is counted: from it on evenly spread motions take a whole turn.
+    """
     box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
-    options = jaxnh.Transients(n_starts=512, box=box, saddle_points=16, transient=0)
+    options = jaxnh.Transients(n_starts=4096, box=box, transient=1)
     session = jaxnh.Session(repelling_cycle, start={"u": 1.0, "v": -0.1, "x": 0.3, "y": 0.2}, target=1e-7)
-    data = session.on(coordinate="v", value=0.0, direction="up").run(options, repetition=np.arange(4.0))
-    turn, least = 2 * np.pi, 0.5
-    assert covers(data, "escape_rate", 0.16 * turn) >= least
-    exact = turn * np.array([0.1, 0.06, -2.0])
+    data = session.on(coordinate="v", value=0.0, direction="up").run(options, repetition=np.arange(2.0))
+    turn, least = 2 * np.pi, 1.0
+    assert covers(data, "escape_rate", 0.08 * turn) >= least
+    exact = turn * np.array([0.05, 0.03, -2.0])
     assert np.all(np.abs(data["saddle_exponents"] - exact) <= data["saddle_exponents_error"] + 1e-12)
     assert covers(data, "saddle_dimension", 0.0) >= least
-    # They stay for so many turns that the faster one has grown by e¹⁶; half of it they were not moved in.
-    assert np.abs(data["x_points"]).max() < np.exp(-8.0)
-    assert np.abs(data["y_points"]).max() < np.exp(-8.0 * 0.6)
-    assert np.abs(data["u_points"] - 1.0).max() < 1e-6
 
 
 @pytest.mark.slow
