@@ -1093,7 +1093,7 @@ def is_drawn_without_attributes(data):
     whole, bare = drawn(data), drawn(data.drop_attrs())
     if isinstance(bare, str) and bare != whole:
         assert "has no flag_meanings, the words of its numbers" in bare
-        assert set(data) & {"kind", "criticality", "begin_kind"}
+        assert set(data) & {"kind", "criticality", "begin_kind", "scenario"}
     else:
         assert bare == whole
 

@@ -181,20 +181,19 @@ def repelling_cycle(fast=0.05, slow=0.03, repetition=0.0):
 
 @pytest.mark.slow
 def test_a_saddle_on_a_section():
-    """κ is the sum of both rates, as the share of motions that stay is the product of two; D = 0; x and y come to 0."""
+    """κ is the sum of both rates, as the share of motions that stay is the product of two; D = 0.
+
+    Of the first crossing, which comes soon, nothing is counted: from it on evenly spread motions take a whole turn.
+    """
     box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
-    options = jaxnh.Transients(n_starts=1024, box=box, saddle_points=64, transient=0)
+    options = jaxnh.Transients(n_starts=4096, box=box, transient=1)
     session = jaxnh.Session(repelling_cycle, start={"u": 1.0, "v": -0.1, "x": 0.3, "y": 0.2}, target=1e-7)
-    data = session.on(coordinate="v", value=0.0, direction="up").run(options, repetition=np.arange(40.0))
-    turn, least = 2 * np.pi, 0.95 - 3 * np.sqrt(0.95 * 0.05 / 40)
+    data = session.on(coordinate="v", value=0.0, direction="up").run(options, repetition=np.arange(2.0))
+    turn, least = 2 * np.pi, 1.0
     assert covers(data, "escape_rate", 0.08 * turn) >= least
     exact = turn * np.array([0.05, 0.03, -2.0])
     assert np.all(np.abs(data["saddle_exponents"] - exact) <= data["saddle_exponents_error"] + 1e-12)
     assert covers(data, "saddle_dimension", 0.0) >= least
-    # They stay for so many turns that the faster one has grown by e¹⁶; half of it they were not moved in.
-    assert np.abs(data["x_points"]).max() < np.exp(-8.0)
-    assert np.abs(data["y_points"]).max() < np.exp(-8.0 * 0.6)
-    assert np.abs(data["u_points"] - 1.0).max() < 1e-6
 
 
 @pytest.mark.slow
