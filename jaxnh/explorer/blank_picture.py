@@ -45,7 +45,7 @@ class BlankPicture(FileSource):
         )
         swept = swept_ranges(attrs)
         ends = {key: swept.get(key) or _extent(data[key]) for key in (across, *heights)}
-        axes = (across,) if curves is None else (across, heights[0])
+        axes = (across, *(() if curves is None else heights))
         first = xr.Dataset({axis: (axis, list(ends[axis]), data[axis].attrs) for axis in axes})
         super().__init__(groups, first.assign_attrs(axes=" ".join(axes)), axes, attrs, name)
         self._ends = {key.removesuffix("_points"): value for key, value in ends.items()}
@@ -53,9 +53,9 @@ class BlankPicture(FileSource):
             self.variables = {key.removesuffix("_points"): words_of(data[key]) for key in heights}
             self.first = View(across, *ends[across], next(iter(self.variables)), columns=MOST_CELLS)
         else:
+            up = heights[0]
             self.variables = {"curves": "curves"}
-            counts = {"columns": MOST_CELLS, "rows": MOST_CELLS}
-            self.first = View(across, *ends[across], "curves", ends[axes[1]], axes[1], **counts)
+            self.first = View(across, *ends[across], "curves", ends[up], up, columns=MOST_CELLS, rows=MOST_CELLS)
 
     def passes(self, view: View) -> Iterator[Picture]:
         """The one white picture."""
