@@ -33,14 +33,14 @@ class LeafPiece(NamedTuple):
     """Pieces of unstable leaves where motions pass orbits of n returns.
 
     Attributes:
-        index: number of the motion's point, (cycles,).
+        passed: number of the motion's point beside the orbit, (cycles,).
         begun: number of the point where the piece is short, (cycles,).
         shift: the way from that point to the middle of the piece, in sizes, (cycles, d).
         at: number of the orbit's point, (cycles,).
         known: whether there is such a piece, (cycles,).
     """
 
-    index: Int[np.ndarray, " cycles"]
+    passed: Int[np.ndarray, " cycles"]
     begun: Int[np.ndarray, " cycles"]
     shift: Float[np.ndarray, "cycles d"]
     at: Int[np.ndarray, " cycles"]
@@ -76,7 +76,7 @@ def leaf_distances(
     stable = _left_vectors(np.asarray(period(points.reshape(-1, d), np.repeat(lane, n)).monodromy), points, size)
     piece = _pieces(period, chart, motion, points, stable, lane, size)
     nearest, u = np.full((cycles, n), np.inf), np.zeros((cycles, _POINTS, d))
-    active, steps = piece.known.copy(), piece.index - piece.begun
+    active, steps = piece.known.copy(), piece.passed - piece.begun
     longest = int(np.max(steps, initial=0, where=active))
     at, each = piece.at.copy(), np.arange(cycles)
     share = np.linspace(0.0, 2.0, _POINTS)[None, :, None]
