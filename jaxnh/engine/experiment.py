@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -74,7 +75,8 @@ class Experiment(Config):
         if isinstance(made, UserExperiment) and user_file:
             made._file = user_file
         try:
-            made._try_out()
+            with jax.enable_x64(True):  # a script may load a config before it has started a session
+                made._try_out()
         except PydanticCustomError as broken:
             raise fault_of_rule(broken, config._source) from None
         return made

@@ -330,6 +330,13 @@ def test_reduced_equations(name):
     assert np.abs(np.array([*rates.q, *rates.v]) - np.array(exact)).max() < EXACT
 
 
+@pytest.mark.slow
+def test_a_script_loads_a_config_before_it_starts_a_session():
+    """In single precision the start on a level of the disk was not a number."""
+    with jax.enable_x64(False):
+        assert jaxnh.load(FOLDER / "rubber_disk.yaml").axes[0].name == "energy"
+
+
 def test_equations_of_nose_and_hoover():
     """At random states and temperatures, to rounding."""
     q, p, friction, temperature = numbers(16, 4)

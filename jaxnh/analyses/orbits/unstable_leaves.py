@@ -23,26 +23,24 @@ from jaxnh.systems.chart import Chart
 _POINTS = 9  # of a piece
 _LONGEST = 4096  # points at the end of a motion that are looked at
 _GROWTH = np.log(1e3)  # of a piece from where it is straight to where it reaches past the saddle
-_WIDTH = (
-    0.05  # of a piece, in units of its distance from the saddle: straight, and wider than the stable manifold bends
-)
+_WIDTH = 0.05  # of a piece, in its distances from the saddle: straight, and wider than the stable manifold bends
 _RETURNS = 1024
 _ALONG = 1e-6  # sine of the angle between tangents from two starts that have turned along the leaves
 _SIDES = 3.0  # pieces as long as so many distances from the saddle may still be straight
 
 
-class Passage(NamedTuple):
-    """Where a motion passes orbits of n returns.
+class LeafPiece(NamedTuple):
+    """Pieces of unstable leaves where motions pass orbits of n returns.
 
     Attributes:
-        index: number of the motion's point, (cycles,).
+        passed: number of the motion's point beside the orbit, (cycles,).
         begun: number of the point where the piece is short, (cycles,).
         shift: the way from that point to the middle of the piece, in sizes, (cycles, d).
         at: number of the orbit's point, (cycles,).
-        known: whether there is such a passage, (cycles,).
+        known: whether there is such a piece, (cycles,).
     """
 
-    index: Int[np.ndarray, " cycles"]
+    passed: Int[np.ndarray, " cycles"]
     begun: Int[np.ndarray, " cycles"]
     shift: Float[np.ndarray, "cycles d"]
     at: Int[np.ndarray, " cycles"]
@@ -76,16 +74,16 @@ def leaf_distances(
     cycles, n, d = points.shape
     motion = motion[:, -_LONGEST:]
     stable = _left_vectors(np.asarray(period(points.reshape(-1, d), np.repeat(lane, n)).monodromy), points, size)
-    passage = _passages(period, chart, motion, points, stable, lane, size)
+    piece = _pieces(period, chart, motion, points, stable, lane, size)
     nearest, u = np.full((cycles, n), np.inf), np.zeros((cycles, _POINTS, d))
-    active, steps = passage.known.copy(), passage.index - passage.begun
+    active, steps = piece.known.copy(), piece.passed - piece.begun
     longest = int(np.max(steps, initial=0, where=active))
-    at, each = passage.at.copy(), np.arange(cycles)
+    at, each = piece.at.copy(), np.arange(cycles)
     share = np.linspace(0.0, 2.0, _POINTS)[None, :, None]
     for turn in range(-longest, _RETURNS):
         begins = active & (steps == -turn)
-        first = motion[each, passage.begun]
-        u[begins] = (first[:, None] + share * (passage.shift * size)[:, None])[begins]
+        first = motion[each, piece.begun]
+        u[begins] = (first[:, None] + share * (piece.shift * size)[:, None])[begins]
         passing = active & (turn >= 0)
         if passing.any():
             gone, u = _bisect(chart, u, points[each, at], stable[each, at], size, passing, nearest, at)
@@ -119,7 +117,7 @@ def _left_vectors(
     return vectors / np.linalg.norm(vectors, axis=2, keepdims=True)
 
 
-def _passages(
+def _pieces(
     period: Period,
     chart: Chart,
     motion: Float[np.ndarray, "cycles points d"],
@@ -127,7 +125,7 @@ def _passages(
     stable: Float[np.ndarray, "cycles n d"],
     lane: Int[np.ndarray, " cycles"],
     size: Float[np.ndarray, "cycles d"],
-) -> Passage:
+) -> LeafPiece:
     """Return where each motion passes its orbit so that the shortest piece of its leaf reaches to the other side."""
     cycles, count, d = motion.shape
     _, first, again = np.unique(lane, return_index=True, return_inverse=True)
@@ -161,7 +159,7 @@ def _passages(
     start = np.maximum(begun[each, index], 0)
     shrunk = np.exp(growth[each, start] - growth[each, index])
     shift = direction[each, start] * (way[each, index] * shrunk)[:, None]
-    return Passage(index, start, shift, at[each, index], np.isfinite(cost[each, index]))
+    return LeafPiece(index, start, shift, at[each, index], np.isfinite(cost[each, index]))
 
 
 def _bisect(

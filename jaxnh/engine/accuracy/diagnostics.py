@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxnh.engine.accuracy.kinks import find_kink
@@ -160,7 +161,7 @@ def _motion(flow: Flow, y: State, p: Parameters, length: float, steps: int = _RO
     @partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
     def motion(y: State, p: Parameters) -> State:
         def step(y: State, t: Array) -> tuple[State, State]:
-            def moved(by: float, rate: State) -> State:
+            def moved(by: ArrayLike, rate: State) -> State:
                 return jax.tree.map(lambda a, b: a + by * b, y, rate)
 
             def stage(i: Array, carry: tuple[State, State]) -> tuple[State, State]:
