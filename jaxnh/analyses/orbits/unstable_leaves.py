@@ -31,7 +31,7 @@ _ALONG = 1e-6  # sine of the angle between tangents from two starts that have tu
 _SIDES = 3.0  # pieces as long as so many distances from the saddle may still be straight
 
 
-class Passage(NamedTuple):
+class LeafPassage(NamedTuple):
     """Where a motion passes orbits of n returns.
 
     Attributes:
@@ -127,7 +127,7 @@ def _passages(
     stable: Float[np.ndarray, "cycles n d"],
     lane: Int[np.ndarray, " cycles"],
     size: Float[np.ndarray, "cycles d"],
-) -> Passage:
+) -> LeafPassage:
     """Return where each motion passes its orbit so that the shortest piece of its leaf reaches to the other side."""
     cycles, count, d = motion.shape
     _, first, again = np.unique(lane, return_index=True, return_inverse=True)
@@ -161,7 +161,7 @@ def _passages(
     start = np.maximum(begun[each, index], 0)
     shrunk = np.exp(growth[each, start] - growth[each, index])
     shift = direction[each, start] * (way[each, index] * shrunk)[:, None]
-    return Passage(index, start, shift, at[each, index], np.isfinite(cost[each, index]))
+    return LeafPassage(index, start, shift, at[each, index], np.isfinite(cost[each, index]))
 
 
 def _bisect(

@@ -126,7 +126,7 @@ class ExtremumCondition:
 
     def endings(self, solution: BoundarySolution) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
         """Cycles that go beyond the level elsewhere, or beyond what guards them."""
-        return {BEYOND: _beyond(solution, self._watched(solution))}
+        return {BEYOND: _goes_beyond(solution, self._watched(solution))}
 
     def nodes(self, solution: BoundarySolution) -> Float[np.ndarray, " k"]:
         """None: cycles begin at the extremum."""
@@ -251,7 +251,7 @@ class MeanCondition:
 
     def endings(self, solution: BoundarySolution) -> Mapping[int, Bool[np.ndarray, " lanes"]]:
         """Cycles that go beyond what guards them."""
-        return {BEYOND: _beyond(solution, [(height, 0.0, sign) for height, sign in self._guards])}
+        return {BEYOND: _goes_beyond(solution, [(height, 0.0, sign) for height, sign in self._guards])}
 
     def nodes(self, solution: BoundarySolution) -> Float[np.ndarray, " 0"]:
         """None: the mean is of the order of the ends of intervals."""
@@ -375,7 +375,7 @@ def _values(
     return np.asarray(values)[:, which].reshape(lanes, k)
 
 
-def _beyond(solution: BoundarySolution, watched: Sequence[_Watched]) -> Bool[np.ndarray, " lanes"]:
+def _goes_beyond(solution: BoundarySolution, watched: Sequence[_Watched]) -> Bool[np.ndarray, " lanes"]:
     """Return whether cycles go beyond levels by more than the polynomials of intervals are wrong."""
     beyond = np.zeros(len(solution.duration), bool)
     with np.errstate(invalid="ignore"):
