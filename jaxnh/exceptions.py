@@ -5,7 +5,6 @@ The message of an exception is a sentence for the user. How a command ends with 
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 
@@ -37,7 +36,7 @@ def take_path(given: object, taker: str, what: str) -> Path:
     Raises:
         InputError: it is none; `taker` takes that of a `what`.
     """
-    if not isinstance(given, str | os.PathLike):
+    if not isinstance(given, str | Path):
         raise InputError(f"{taker} takes the path of a {what}, not {type(given).__name__}")
     return Path(given)
 

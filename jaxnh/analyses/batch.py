@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, Protocol, TypedDict, TypeVar, Unpack, overload
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar, overload
 
 import jax
 import numpy as np
@@ -246,16 +246,6 @@ class Link(NamedTuple):
 
 
 Result = TypeVar("Result")
-Trees = tuple[Any, ...]
-
-
-class CallOptions(TypedDict, total=False):
-    """Options of a call of a lane runner (`LaneExecutor.__call__`)."""
-
-    periods: float
-    tile: int | None
-    static: tuple[Any, ...]
-    spread: bool
 
 
 class LaneRunner(Protocol):
@@ -271,12 +261,28 @@ class LaneRunner(Protocol):
 
     @overload
     def __call__(
-        self, function: Callable[..., Array], shared: Trees, lanes: Trees, **options: Unpack[CallOptions]
+        self,
+        function: Callable[..., Array],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        *,
+        periods: float = 0.0,
+        tile: int | None = None,
+        static: tuple[Any, ...] = (),
+        spread: bool = True,
     ) -> np.ndarray: ...
 
     @overload
     def __call__(
-        self, function: Callable[..., Result], shared: Trees, lanes: Trees, **options: Unpack[CallOptions]
+        self,
+        function: Callable[..., Result],
+        shared: tuple[Any, ...],
+        lanes: tuple[Any, ...],
+        *,
+        periods: float = 0.0,
+        tile: int | None = None,
+        static: tuple[Any, ...] = (),
+        spread: bool = True,
     ) -> Result:
         """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
 

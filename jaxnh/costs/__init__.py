@@ -6,8 +6,9 @@ from typing import NamedTuple
 import xarray as xr
 
 from jaxnh.analyses.base import Table
-from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.costs import doubling, exponent, tables
+from jaxnh.engine.executor.lanes import LaneExecutor
 
 
 class Study(NamedTuple):
@@ -19,7 +20,7 @@ class Study(NamedTuple):
         absent: why there may be none.
     """
 
-    price: Callable[[LaneBatch, LaneRunner], xr.Dataset | None]
+    price: Callable[[LaneBatch, LaneExecutor], xr.Dataset | None]
     table: Callable[[xr.Dataset], Table]
     absent: str
 

@@ -197,7 +197,7 @@ class Session:
             analysis, options = _name_of(analysis), analysis
         if isinstance(analysis, type):
             raise InputError(f"options are made by a call, as jaxnh.{analysis.__name__.removesuffix('Options')}()")
-        asked_for = analysis_of(analysis) if isinstance(analysis, str) else None
+        asked_for = analysis_of(analysis) if isinstance(analysis, str) else None  # pyright: ignore[reportUnnecessaryIsInstance]
         if asked_for is None:
             raise InputError(f"there is no analysis {analysis}; known are {', '.join(ANALYSES)}")
         self._check_arguments(asked_for, options, axes)

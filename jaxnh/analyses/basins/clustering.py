@@ -257,7 +257,7 @@ def _add_attractors(
         if judged.kind[k] == NONE:
             continue
         target: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
-        known = [(0, assignment.attractors, assignment.point)] if before else []
+        known = [] if assignment.attractors is None else [(0, assignment.attractors, assignment.point)]
         known += [(before, select(judged, np.array(new)), point[new])] if new else []
         for first, others, at in known:
             same = _match_attractors(chart, target, others, largest, at == point[k])

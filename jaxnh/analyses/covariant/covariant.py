@@ -184,7 +184,8 @@ def _exponents(batch: LaneBatch, motions: Motions, vectors: CovariantVectors, se
     if batch.flow is batch.system:
         time = np.full((len(growth), count), float(batch.flow.period))
     else:  # a return takes a time of its own
-        time = np.diff(motions.states.t, axis=1)[:, settling : settling + count]
+        crossings: Any = motions.states
+        time = np.diff(crossings.t, axis=1)[:, settling : settling + count]
     rates = np.sum(growth, axis=1) / np.sum(time, axis=1)[:, None]
     missed = (growth - rates[:, None] * time[:, :, None]) / np.mean(time, axis=1)[:, None, None]
     blocks = missed[:, : count // BLOCKS * BLOCKS].reshape(len(growth), BLOCKS, -1, growth.shape[2]).mean(axis=2)
