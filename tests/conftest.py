@@ -94,8 +94,8 @@ def no_scheduler_left() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def lanes() -> LaneExecutor:
-    """A runner that shares its programs with those of all modules, traced and compiled once; few lanes are padded to 64."""
-    return lanes_with_kept_programs(None, None, 32)
+    """A runner that shares its programs with those of all modules, traced and compiled once; few lanes are padded to 32."""
+    return lanes_with_kept_programs(None, jax.devices()[:1], 32)
 
 
 @pytest.fixture(scope="session")
