@@ -17,7 +17,7 @@ from jaxnh.orbits.multipliers import merged, multipliers
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.flows.duffing_resonance import by_scipy, duffing
-from tests.flows.logistic_map import LOGISTIC, logistic_orbit
+from tests.flows.logistic_map import LOGISTIC, logistic, logistic_orbit
 from tests.helpers.batches import batch_of
 from tests.helpers.cases import some_slow
 
@@ -65,7 +65,7 @@ def test_window_of_period_three():
     assert [branch.period for branch in tree.branches] == [2, 1]
 
 
-@pytest.mark.parametrize("steepness", [20.0, 200.0])
+@pytest.mark.parametrize("steepness", [20.0, 200.0, 2e5])
 def test_multiplier_that_changes_within_a_small_part_of_a_step(steepness):
     """u → (tanh(s(μ − 1/π)) − 1) u + u³: a doubling at μ = 1/π, and no polynomial follows the multiplier over a step."""
 
@@ -80,6 +80,21 @@ def test_multiplier_that_changes_within_a_small_part_of_a_step(steepness):
     assert kinds == [("period_doubling", 1)]
     assert tree.lost == 0
     assert abs(points[0].value - 1 / np.pi) <= points[0].error < 1e-9
+
+
+@pytest.mark.parametrize("step", [0.05, 0.002])
+@pytest.mark.parametrize("shift", [1e-4, 1e-2])
+def test_bifurcations_that_finer_maps_have_steps_away(shift, step):
+    """Maps whose parameter is off by δ, δ/16 and δ/256: doublings at 3 less these, up to five steps of a branch apart."""
+    families = [
+        LOGISTIC._replace(period=lambda u, p, off=off: logistic(u, p + off)) for off in (shift, shift / 16, shift / 256)
+    ]
+    tree = grow(families, [[SeedOrbit(np.array([[1 - 1 / 2.95]]), 2.95)]], 1, StepControl(step, 100))
+    assert named(tree)[0] == [("period_doubling", 1)]
+    assert tree.lost == 0
+    [point] = tree.bifurcations
+    assert point.value == pytest.approx(3.0 - shift / 16, abs=1e-9)
+    assert abs(point.value - 3.0) <= point.error <= 1.1 * shift
 
 
 def test_branch_between_two_doublings_is_one():

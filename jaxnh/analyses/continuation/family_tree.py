@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxnh.analyses.continuation.known_branches import SAME, KnownBranches, same_orbit
-from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, neutral_pair
+from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, locate_near, neutral_pair
 from jaxnh.orbits.bifurcations.normal_forms import cubic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, along_parameter, correct
 from jaxnh.orbits.continuation.branches import Branch, follow_both_ways
@@ -28,7 +28,6 @@ from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
 _LOOKED_AT = 9  # points of a branch
 _ABREAST = 8  # times the branches that fill a tile: of 32 lanes a tile, calls of 64 to 512 take a quarter of the time
-_NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
 _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
 
 
@@ -218,7 +217,7 @@ def _locate(
     stretch, first = (jax.tree.map(lambda leaf: leaf[located], part) for part in (stretch, first))
     if not len(located):
         return [], first.orbits, np.zeros(first.orbits.points.shape), lost
-    second, third = (locate(finer, stretch, first, _NARROW) for finer in families[1:])
+    second, third = (locate_near(finer, stretch, first) for finer in families[1:])
     value = second.orbits.value
     error = np.abs(value - first.orbits.value) + np.abs(third.orbits.value - value)
     error += np.maximum(second.error, third.error)

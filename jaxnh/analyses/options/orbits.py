@@ -160,7 +160,8 @@ class CurvesOptions(Continuation):
             raise rule("without periodic orbits there are curves of equilibria alone: give equilibria", "max_period")
         if self.bifurcations is False and not (self.conditional or self.equilibria):
             raise rule(
-                "then nothing is left to follow: give duration, maximum, minimum, amplitude, mean, exponent_sum or grazing",
+                "then nothing is left to follow: give duration, maximum, minimum, amplitude, mean, exponent_sum or "
+                "grazing",
                 "bifurcations",
             )
         return self

@@ -28,7 +28,8 @@ _FIT = np.linalg.pinv(np.vander(NODES, _DEGREE + 1, increasing=True))
 _THROUGH = np.linalg.inv(np.vander(NODES, increasing=True))
 _NARROWER = 64  # from round to round
 _ROUNDS = 4
-_CLOSER = 3  # times that a bracket in which no polynomial fits is narrowed to where the test function changes sign
+_CLOSER = 10  # times that a bracket in which no polynomial fits is narrowed to where the test function changes sign
+_NEAR = (1 / 64, 1 / 4, 2.0)  # of a chord, about the place of a zero of a less fine map
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
 _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
@@ -139,10 +140,10 @@ def locate(
             along.points[whole], along.value[whole] = nodes.points.reshape(along.points.shape)[whole], values[whole]
         with np.errstate(invalid="ignore"):
             good = whole & np.isfinite(root) & (blur < _NOISE * begun[open_]) & (off < 0.25 * error[open_])
-        closer, k = _around_change(tests, whole & ~good & ~exists[open_])
+        closer, low, high = _around_change(tests, whole & ~good & ~exists[open_])
         there = open_[closer]
-        share[there] += 0.5 * widths[there] * (NODES[k] + NODES[k + 1])
-        widths[there] *= 0.5 * np.abs(NODES[k + 1] - NODES[k])
+        share[there] += 0.5 * widths[there] * (low + high)
+        widths[there] *= 0.5 * (high - low)
         begun[there] = widths[there]
         open_, width, root = open_[good], widths[open_][good], root[good]
         share[open_] += width * root
@@ -160,13 +161,37 @@ def locate(
     return BifurcationPoints(share, value, error, bend, orbits, exists, along)
 
 
+def locate_near(family: Family, stretch: Brackets, near: BifurcationPoints) -> BifurcationPoints:
+    """The zeros near those of a less fine map, in wider and wider parts of the curve where there are none.
+
+    Zeros may be apart by more than a step of the curve where that is short, as beside steep multipliers.
+    """
+    located = locate(family, stretch, near, _NEAR[0])
+    for half in _NEAR[1:]:
+        left = np.flatnonzero(~located.exists)
+        if not len(left):
+            break
+        again = locate(family, *(jax.tree.map(lambda leaf, k=left: leaf[k], part) for part in (stretch, near)), half)
+        for leaf, new in zip(jax.tree.leaves(located), jax.tree.leaves(again), strict=True):
+            leaf[left] = new
+    return located
+
+
 def _around_change(
     tests: Float[np.ndarray, "some nodes"], asked: Bool[np.ndarray, " some"]
-) -> tuple[Int[np.ndarray, " changed"], Int[np.ndarray, " changed"]]:
-    """Brackets among those asked for with one change of sign between nodes, and the number of the node before it."""
+) -> tuple[Int[np.ndarray, " changed"], Float[np.ndarray, " changed"], Float[np.ndarray, " changed"]]:
+    """Brackets among those asked for in which the sign changes, and between which places, in nodes' widths.
+
+    Of several changes the first is taken. Where there is none it is beyond the outer node at which the function is less.
+    """
+    chosen = np.flatnonzero(asked)
+    tests = tests[chosen]
     changes = np.diff(np.signbit(tests), axis=1)
-    chosen = np.flatnonzero(asked & (changes.sum(axis=1) == 1))
-    return chosen, np.argmax(changes[chosen], axis=1)
+    k, last = np.argmax(changes, axis=1), np.abs(tests[:, -1]) < np.abs(tests[:, 0])
+    outer = np.where(last, NODES[-1], NODES[0])
+    none, beyond = ~changes.any(axis=1), np.sign(outer) * (2.0 - np.abs(outer))
+    ends = np.stack([np.where(none, outer, NODES[k]), np.where(none, beyond, NODES[k + 1])])
+    return chosen, ends.min(axis=0), ends.max(axis=0)
 
 
 def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some"]:

@@ -56,7 +56,7 @@ def height_rates(
 
 
 def _divergence(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters) -> Float[Array, ""]:
-    """The trace of the derivative of the rates: its mean along a cycle is the sum of Floquet's exponents (Liouville)."""
+    """The trace of the rates' derivative: its mean along a cycle is the sum of Floquet exponents (Liouville)."""
     rate, values = _rate_and_values(flow, u, t, p, ())
     return jnp.trace(jax.jacfwd(rate)(u, values)) / time_unit(flow, p)
 
