@@ -46,7 +46,7 @@ def test_cascade_of_the_logistic_map():
         assert point.criticality == 1  # where the orbit loses its stability, the doubled one takes it over
     # Kuznetsov's c = (C + 3 B (1 − A)⁻¹ B)/6 with A = −1, B = −2p = −6, C = 0; differences of a line are exact.
     assert abs(points[0].coefficient + 9.0) < 1e-9
-    assert tree.lost == 0
+    assert not tree.lost
     again = grow([LOGISTIC] * 3, [orbits, [SeedOrbit(np.array(logistic_orbit(4, 3.5)), 3.5)]], 16, STEPS)
     assert len(again.branches) == 5  # the orbit of period 4 is on a branch that is known
 
@@ -78,7 +78,7 @@ def test_multiplier_that_changes_within_a_small_part_of_a_step(steepness):
     tree = grow([family] * 3, [[SeedOrbit(np.zeros((1, 1)), 0.0)]], 1, StepControl(0.05))
     kinds, points = named(tree)
     assert kinds == [("period_doubling", 1)]
-    assert tree.lost == 0
+    assert not tree.lost
     assert abs(points[0].value - 1 / np.pi) <= points[0].error < 1e-9
 
 
@@ -91,10 +91,21 @@ def test_bifurcations_that_finer_maps_have_steps_away(shift, step):
     ]
     tree = grow(families, [[SeedOrbit(np.array([[1 - 1 / 2.95]]), 2.95)]], 1, StepControl(step, 100))
     assert named(tree)[0] == [("period_doubling", 1)]
-    assert tree.lost == 0
+    assert not tree.lost
     [point] = tree.bifurcations
     assert point.value == pytest.approx(3.0 - shift / 16, abs=1e-9)
     assert abs(point.value - 3.0) <= point.error <= 1.1 * shift
+
+
+def test_a_change_of_sign_that_finer_maps_do_not_have_is_kept_with_its_bracket():
+    """Maps of more steps with p = 2.5 + (p − 2)/8 come to no doubling below the end of the range, 3.9."""
+    less = LOGISTIC._replace(period=lambda u, p: logistic(u, 2.5 + 0.125 * (p - 2.0)))
+    tree = grow([LOGISTIC, less, less], [[SeedOrbit(np.array([[1 - 1 / 2.9]]), 2.9)]], 1, StepControl(0.05, 20))
+    assert not tree.bifurcations
+    [change] = tree.lost
+    value = tree.branches[change.branch].value[change.place : change.place + 2]
+    assert KINDS[change.kind] == "period_doubling"
+    assert value.min() < 3.0 < value.max()
 
 
 def test_branch_between_two_doublings_is_one():

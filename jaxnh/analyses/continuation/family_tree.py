@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 
 from jaxnh.analyses.continuation.known_branches import SAME, KnownBranches, same_orbit
 from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, locate_near, neutral_pair
@@ -62,12 +62,25 @@ class Bifurcation(NamedTuple):
     criticality: int
 
 
+class SignChange(NamedTuple):
+    """A change of a test function's sign between two points of a branch, by the place of the first of them.
+
+    Attributes:
+        branch, place: number of the branch, and of the point.
+        kind: of the bifurcation that it tells, a number in `KINDS`.
+    """
+
+    branch: int
+    place: int
+    kind: int
+
+
 class Tree(NamedTuple):
-    """Branches, their bifurcations, and how many sign changes of test functions led to none."""
+    """Branches, their bifurcations, and the changes of sign of test functions that led to none."""
 
     branches: list[Branch]
     bifurcations: list[Bifurcation]
-    lost: int
+    lost: list[SignChange]
 
 
 Stage = Callable[[str], AbstractContextManager[object]]
@@ -90,7 +103,7 @@ def grow(
         steps: how branches are followed.
         stage: shows what is done inside, by its label.
     """
-    tree = Tree([], [], 0)
+    tree = Tree([], [], [])
     for wave in waves:
         open_ = list(wave)
         begun: dict[int, list[CurveOrbits]] = {}
@@ -185,7 +198,7 @@ def _add_branches(
         return tree, [], parents
     with stage(f"{len(stretch.kind)} bifurcations of period {n}"):
         points, first, vectors, lost = _locate(families, stretch, count)
-        tree = tree._replace(lost=tree.lost + lost)
+        tree.lost.extend(lost)
         kept = list[int]()
         for k, point in enumerate(points):
             if not any(_same(families[0], point, other) for other in tree.bifurcations):
@@ -204,16 +217,16 @@ def _add_branches(
 
 def _locate(
     families: Sequence[Family], stretch: Brackets, count: int
-) -> tuple[list[Bifurcation], CurveOrbits, Float[np.ndarray, "some n d"], int]:
+) -> tuple[list[Bifurcation], CurveOrbits, Float[np.ndarray, "some n d"], list[SignChange]]:
     """Bifurcations in brackets, of branches that are numbered from `count` on; orbits of the first map there.
 
-    Also the critical vectors of real multipliers, and how many sign changes led to nothing.
+    Also the critical vectors of real multipliers, and the sign changes that led to nothing.
     """
     first = locate(families[0], stretch)
     neutral = np.isin(stretch.kind, (NEIMARK_SACKER, HOPF)) & first.exists
     neutral[neutral] = neutral_pair(families[0], first.orbits.take(neutral))
     located = np.flatnonzero(first.exists & ~neutral)
-    lost = int(np.sum(~first.exists))
+    lost = _sign_changes(stretch, ~first.exists, count)
     stretch, first = (jax.tree.map(lambda leaf: leaf[located], part) for part in (stretch, first))
     if not len(located):
         return [], first.orbits, np.zeros(first.orbits.points.shape), lost
@@ -221,7 +234,8 @@ def _locate(
     value = second.orbits.value
     error = np.abs(value - first.orbits.value) + np.abs(third.orbits.value - value)
     error += np.maximum(second.error, third.error)
-    sure = np.flatnonzero(second.exists & third.exists & np.isfinite(error))
+    known = second.exists & third.exists & np.isfinite(error)
+    sure, lost = np.flatnonzero(known), [*lost, *_sign_changes(stretch, ~known, count)]
     orbits, kind = second.orbits.take(sure), stretch.kind[sure]
     normal, values = cubic(families[1], orbits, kind), eigenvalues(families[1], orbits)
     coefficient = np.where(kind == FOLD, second.bend[sure], normal.coefficient)
@@ -239,7 +253,13 @@ def _locate(
         )
         for k, at in enumerate(sure.tolist())
     ]
-    return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost + len(located) - len(sure)
+    return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost
+
+
+def _sign_changes(stretch: Brackets, which: Bool[np.ndarray, " some"], count: int) -> list[SignChange]:
+    """Some of the brackets on branches that are numbered from `count` on."""
+    rows = zip(stretch.branch[which] + count, stretch.place[which], stretch.kind[which], strict=True)
+    return [SignChange(int(branch), int(place), int(kind)) for branch, place, kind in rows]
 
 
 def _parents(family: Family, branch: Branch) -> list[SeedOrbit]:

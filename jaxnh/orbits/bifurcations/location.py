@@ -171,7 +171,8 @@ def locate_near(family: Family, stretch: Brackets, near: BifurcationPoints) -> B
         left = np.flatnonzero(~located.exists)
         if not len(left):
             break
-        again = locate(family, *(jax.tree.map(lambda leaf, k=left: leaf[k], part) for part in (stretch, near)), half)
+        part, near_part = (jax.tree.map(lambda leaf, k=left: leaf[k], whole) for whole in (stretch, near))
+        again = locate(family, part, near_part, half)
         for leaf, new in zip(jax.tree.leaves(located), jax.tree.leaves(again), strict=True):
             leaf[left] = new
     return located
@@ -182,7 +183,7 @@ def _around_change(
 ) -> tuple[Int[np.ndarray, " changed"], Float[np.ndarray, " changed"], Float[np.ndarray, " changed"]]:
     """Brackets among those asked for in which the sign changes, and between which places, in nodes' widths.
 
-    Of several changes the first is taken. Where there is none it is beyond the outer node at which the function is less.
+    Of several changes the first is taken. Where there is none it is beyond the outer node where the function is less.
     """
     chosen = np.flatnonzero(asked)
     tests = tests[chosen]
