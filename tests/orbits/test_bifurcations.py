@@ -10,6 +10,7 @@ from jaxnh.analyses.continuation.families import equilibrium_family, orbit_famil
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.bifurcations.location import brackets
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.continuation.paths import ENDS, STEPS, StepControl
@@ -106,6 +107,21 @@ def test_a_change_of_sign_that_finer_maps_do_not_have_is_kept_with_its_bracket()
     value = tree.branches[change.branch].value[change.place : change.place + 2]
     assert KINDS[change.kind] == "period_doubling"
     assert value.min() < 3.0 < value.max()
+
+
+def test_a_neutral_saddle_is_no_change_of_sign_that_is_lost():
+    """u → (1e5 x, 2e-5 μ y): the product of two real multipliers is one at μ = 1/2, where nothing bifurcates."""
+
+    def period(u, mu):
+        matrix = np.zeros((len(u), 2, 2))
+        matrix[:, 0, 0], matrix[:, 1, 1] = 1e5, 2e-5 * mu
+        return Derivatives((matrix @ u[..., None])[..., 0], matrix, np.stack([0.0 * mu, 2e-5 * u[:, 1]], axis=1))
+
+    family = Family(period, lambda gap: gap, np.ones(2), 0.25, 1.0)
+    tree = grow([family] * 3, [[SeedOrbit(np.zeros((1, 2)), 0.25)]], 1, StepControl(0.05))
+    assert brackets(family, tree.branches) is None
+    assert not tree.bifurcations
+    assert not tree.lost
 
 
 def test_branch_between_two_doublings_is_one():

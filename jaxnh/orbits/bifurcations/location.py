@@ -17,7 +17,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, correct, inner, length, minus, times
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.core import FINE
-from jaxnh.orbits.continuation.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, test_functions
+from jaxnh.orbits.continuation.kinds import BRANCH_POINT, FOLD, NEIMARK_SACKER, eigenvalues, kinds, test_functions
 from jaxnh.orbits.continuation.paths import COLLAPSED
 
 NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)
@@ -35,6 +35,7 @@ _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
 _ON_CIRCLE = 1e-4  # of a modulus from one, where the product of two multipliers is one to rounding
 _REAL = 1e-6  # imaginary part of a multiplier, of its modulus
+_FAR = 100.0  # ratio of two real multipliers that do not merge and part again within a step
 _STILL = 1e-8  # rates of the parameter that the corrector's last step does not tell from zero
 _BESIDE = np.array([-2.0, -1.0, 1.0, 2.0]) / 64  # of a chord, places beside a branch point
 _BETWEEN = np.array([-1.0, 4.0, 4.0, -1.0]) / 6  # weights of the cubic through them in their middle
@@ -91,6 +92,9 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
         changes[:, order.index(FOLD)] &= turns > _STILL
         # Where both change, the branch turns because another one crosses it there: it is that one's pitchfork.
         changes[:, order.index(FOLD)] &= ~changes[:, order.index(BRANCH_POINT)]
+        if NEIMARK_SACKER in order:
+            far = _real_and_far(branch.multipliers)
+            changes[:, order.index(NEIMARK_SACKER)] &= ~(far[1:] & far[:-1])  # a neutral saddle, no bifurcation
         changes[0] &= branch.ends[0] != COLLAPSED  # there it is the doubling of another branch that shows
         changes[-1] &= branch.ends[1] != COLLAPSED
         changed += [(number, int(i), order[k]) for i, k in zip(*np.nonzero(changes), strict=True)]
@@ -109,6 +113,19 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
     chord = PathVector(ended.points - begun.points, ended.value - begun.value)
     size = length(family, chord)
     return Brackets(branch, place, kind, begun, chord, (times(size, first), times(size, second)))
+
+
+def _real_and_far(values: Complex[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:
+    """Return whether the two multipliers whose product is nearest to one are real, and far from merging."""
+    i, j = np.triu_indices(values.shape[1], 1)
+    if not len(i):
+        return np.zeros(len(values), bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log(np.abs(values))
+        nearest = np.argmin(np.nan_to_num(np.abs(logs[:, i] + logs[:, j]), nan=np.inf), axis=1)[:, None]
+        gap = np.take_along_axis(np.abs(logs[:, i] - logs[:, j]), nearest, axis=1)[:, 0]
+    real = np.abs(np.imag(values)) <= _REAL * np.abs(values)
+    return np.take_along_axis(real[:, i] & real[:, j], nearest, axis=1)[:, 0] & (gap > np.log(_FAR))
 
 
 def locate(
