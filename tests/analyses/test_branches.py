@@ -90,6 +90,7 @@ def test_lanes_that_have_come_to_rest_are_on_no_branch(tmp_path):
     assert np.abs(x[known] ** 2 - mu[known]).max() < 1e-5
     assert mu[known].min() > -1e-9
     assert int(branches["not_located"]) == 0
+    assert np.all(branches["not_located_kind"].values == -1)
     assert tree["windows"].sizes["window"] == 1
 
 

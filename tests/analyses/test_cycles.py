@@ -161,7 +161,7 @@ def test_ends_that_shooting_loses_a_branch_by(ends, needed):
     orbits = np.zeros((2, 1, 2))
     still = PathVector(np.zeros_like(orbits), np.zeros(2))
     branch = Branch(orbits, np.zeros(2), still, np.zeros((2, 0)), np.zeros((2, 2), complex), np.zeros(2), ends)
-    tree = Tree([branch], [], 0)
+    tree = Tree([branch], [], [])
     cycle = first_order(lambda: {"rhs": lambda y, t: (y[1], -y[0]), "coordinates": ("x", "v")}, {})
     driven = first_order(lambda: {"rhs": lambda y, t: (y[1], -y[0]), "coordinates": ("x", "v"), "period": 1.0}, {})
     assert branches._needs_collocation(cycle, tree) == needed

@@ -10,6 +10,7 @@ from jaxnh.analyses.continuation.families import equilibrium_family, orbit_famil
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.maps.iterate import Derivatives
+from jaxnh.orbits.bifurcations.location import brackets
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.continuation.paths import ENDS, STEPS, StepControl
@@ -17,7 +18,7 @@ from jaxnh.orbits.multipliers import merged, multipliers
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.flows.duffing_resonance import by_scipy, duffing
-from tests.flows.logistic_map import LOGISTIC, logistic_orbit
+from tests.flows.logistic_map import LOGISTIC, logistic, logistic_orbit
 from tests.helpers.batches import batch_of
 from tests.helpers.cases import some_slow
 
@@ -46,7 +47,7 @@ def test_cascade_of_the_logistic_map():
         assert point.criticality == 1  # where the orbit loses its stability, the doubled one takes it over
     # Kuznetsov's c = (C + 3 B (1 − A)⁻¹ B)/6 with A = −1, B = −2p = −6, C = 0; differences of a line are exact.
     assert abs(points[0].coefficient + 9.0) < 1e-9
-    assert tree.lost == 0
+    assert not tree.lost
     again = grow([LOGISTIC] * 3, [orbits, [SeedOrbit(np.array(logistic_orbit(4, 3.5)), 3.5)]], 16, STEPS)
     assert len(again.branches) == 5  # the orbit of period 4 is on a branch that is known
 
@@ -65,7 +66,7 @@ def test_window_of_period_three():
     assert [branch.period for branch in tree.branches] == [2, 1]
 
 
-@pytest.mark.parametrize("steepness", [20.0, 200.0])
+@pytest.mark.parametrize("steepness", [20.0, 200.0, 2e5])
 def test_multiplier_that_changes_within_a_small_part_of_a_step(steepness):
     """u → (tanh(s(μ − 1/π)) − 1) u + u³: a doubling at μ = 1/π, and no polynomial follows the multiplier over a step."""
 
@@ -78,8 +79,49 @@ def test_multiplier_that_changes_within_a_small_part_of_a_step(steepness):
     tree = grow([family] * 3, [[SeedOrbit(np.zeros((1, 1)), 0.0)]], 1, StepControl(0.05))
     kinds, points = named(tree)
     assert kinds == [("period_doubling", 1)]
-    assert tree.lost == 0
+    assert not tree.lost
     assert abs(points[0].value - 1 / np.pi) <= points[0].error < 1e-9
+
+
+@pytest.mark.parametrize("step", [0.05, 0.002])
+@pytest.mark.parametrize("shift", [1e-4, 1e-2])
+def test_bifurcations_that_finer_maps_have_steps_away(shift, step):
+    """Maps whose parameter is off by δ, δ/16 and δ/256: doublings at 3 less these, up to five steps of a branch apart."""
+    families = [
+        LOGISTIC._replace(period=lambda u, p, off=off: logistic(u, p + off)) for off in (shift, shift / 16, shift / 256)
+    ]
+    tree = grow(families, [[SeedOrbit(np.array([[1 - 1 / 2.95]]), 2.95)]], 1, StepControl(step, 100))
+    assert named(tree)[0] == [("period_doubling", 1)]
+    assert not tree.lost
+    [point] = tree.bifurcations
+    assert point.value == pytest.approx(3.0 - shift / 16, abs=1e-9)
+    assert abs(point.value - 3.0) <= point.error <= 1.1 * shift
+
+
+def test_a_change_of_sign_that_finer_maps_do_not_have_is_kept_with_its_bracket():
+    """Maps of more steps with p = 2.5 + (p − 2)/8 come to no doubling below the end of the range, 3.9."""
+    less = LOGISTIC._replace(period=lambda u, p: logistic(u, 2.5 + 0.125 * (p - 2.0)))
+    tree = grow([LOGISTIC, less, less], [[SeedOrbit(np.array([[1 - 1 / 2.9]]), 2.9)]], 1, StepControl(0.05, 20))
+    assert not tree.bifurcations
+    [change] = tree.lost
+    value = tree.branches[change.branch].value[change.place : change.place + 2]
+    assert KINDS[change.kind] == "period_doubling"
+    assert value.min() < 3.0 < value.max()
+
+
+def test_a_neutral_saddle_is_no_change_of_sign_that_is_lost():
+    """u → (1e5 x, 2e-5 μ y): the product of two real multipliers is one at μ = 1/2, where nothing bifurcates."""
+
+    def period(u, mu):
+        matrix = np.zeros((len(u), 2, 2))
+        matrix[:, 0, 0], matrix[:, 1, 1] = 1e5, 2e-5 * mu
+        return Derivatives((matrix @ u[..., None])[..., 0], matrix, np.stack([0.0 * mu, 2e-5 * u[:, 1]], axis=1))
+
+    family = Family(period, lambda gap: gap, np.ones(2), 0.25, 1.0)
+    tree = grow([family] * 3, [[SeedOrbit(np.zeros((1, 2)), 0.25)]], 1, StepControl(0.05))
+    assert brackets(family, tree.branches) is None
+    assert not tree.bifurcations
+    assert not tree.lost
 
 
 def test_branch_between_two_doublings_is_one():

@@ -166,7 +166,7 @@ def test_doublings_of_roessler():
     lift, ends = np.zeros(3), (2.3, 4.0)
     for n in (1, 2):
         located, lost = bifurcations(problem, branch, lift)
-        assert lost == 0
+        assert not lost
         assert [point.kind for point in located] == [DOUBLING]
         point = located[0]
         exact = float(doubling_of_roessler(point.point.value, n))

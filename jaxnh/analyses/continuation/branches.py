@@ -164,8 +164,8 @@ def grow_branches(
     if options.method != "collocation" and not long:
         tree = grow(families, waves, options.max_period, steps, stage)
     if tree is None or (options.method == "auto" and _needs_collocation(batch.flow, tree)):
-        followed, lost = grow_cycles(batch, lanes, waves, unit, options.max_period, ends, steps, stage)
-        tree, timed = tree_of_cycles(batch, followed, lost), durations(followed)
+        followed = grow_cycles(batch, lanes, waves, unit, options.max_period, ends, steps, stage)
+        tree, timed = tree_of_cycles(batch, followed), durations(followed)
     orbits = FollowedBranches(tree, families[0], batch, timed)
     return [orbits, *still]
 

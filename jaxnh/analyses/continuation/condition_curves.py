@@ -157,7 +157,7 @@ def condition_curves(
             return lanes.stage(f"curves: {label} at {names[1]} = {second:g}", 0)
 
         many = steps._replace(max_steps=STEPS.max_steps)
-        followed, _ = grow_cycles(row, lanes, seeds, unit, options.max_period, reach, many, stage)
+        followed = grow_cycles(row, lanes, seeds, unit, options.max_period, reach, many, stage)
         for known in followed:
             size = cycle_size(row.system, known.branch.points[0].solution.path, unit)
             plane = plane or _CyclePlane(rows[0], lanes, names, ends, size, sides)

@@ -66,7 +66,7 @@ def seeds_from_cycles(
         waves.append(
             cycles_at_hopf_points(still, orbit_family(batch, lanes, batch.strobe(), size, range_), batch.system)
         )
-    followed, _ = grow_cycles(batch, lanes, waves, size, limit, range_, steps, stage, locate=False)
+    followed = grow_cycles(batch, lanes, waves, size, limit, range_, steps, stage, locate=False)
 
     def problem_of(size: Float[np.ndarray, " d"]) -> Problem:
         return flow_problem(batch.without_section(), lanes, size, names, high - low)

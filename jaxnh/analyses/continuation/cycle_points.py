@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch
-from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
+from jaxnh.analyses.continuation.family_tree import Bifurcation, SignChange, Tree
 from jaxnh.analyses.periodic.flow_cycles import passages
 from jaxnh.maps.section import Section
 from jaxnh.orbits.collocation.bifurcations import CycleBifurcation
@@ -28,15 +28,17 @@ class FollowedCycles(NamedTuple):
         lift: of the end of an orbit over its beginning.
         branch: from one end to the other.
         bifurcations: on it, with places of that order.
+        lost: places and kinds of the changes of sign of test functions that led to none.
     """
 
     returns: int
     lift: Float[np.ndarray, " d"]
     branch: CycleBranch
     bifurcations: list[CycleBifurcation]
+    lost: list[tuple[int, int]]
 
 
-def tree_of_cycles(batch: LaneBatch, followed: Sequence[FollowedCycles], lost: int) -> Tree:
+def tree_of_cycles(batch: LaneBatch, followed: Sequence[FollowedCycles]) -> Tree:
     """Branches and bifurcations as those of return maps; a cycle that misses the section has no numbers there."""
     branches, points = list[Branch](), list[Bifurcation]()
     for number, known in enumerate(followed):
@@ -53,6 +55,7 @@ def tree_of_cycles(batch: LaneBatch, followed: Sequence[FollowedCycles], lost: i
             points.append(
                 Bifurcation(one.kind, value, one.error, number, one.place, at, one.point.multipliers, np.nan, 0)
             )
+    lost = [SignChange(number, *each) for number, known in enumerate(followed) for each in known.lost]
     return Tree(branches, points, lost)
 
 

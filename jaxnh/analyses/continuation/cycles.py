@@ -50,8 +50,8 @@ def grow_cycles(
     stage: Callable[[str], AbstractContextManager[object]],
     *,
     locate: bool = True,
-) -> tuple[list[FollowedCycles], int]:
-    """All branches of cycles that orbits lead to, and how many changes of sign of test functions led to no bifurcation.
+) -> list[FollowedCycles]:
+    """All branches of cycles that orbits lead to.
 
     Args:
         batch: lanes along the first axis.
@@ -64,7 +64,7 @@ def grow_cycles(
         stage: shows what is done inside, by its label.
         locate: whether bifurcations are located, and doubled cycles followed; otherwise branches have none.
     """
-    followed, lost, problem = list[FollowedCycles](), 0, None
+    followed, problem = list[FollowedCycles](), None
     for seed in sorted(itertools.chain(*waves), key=lambda seed: len(seed.points)):
         if problem is not None and _passes_seed(problem, followed, seed, batch):
             continue
@@ -79,8 +79,8 @@ def grow_cycles(
                 batch, lanes, cycle_size(batch.system, guess.path, unit), (batch.first_axis.name,), widths
             )
         with stage(f"cycles of {returns} returns by collocation"):
-            lost += _follow_on(problem, followed, guess, returns, limit, ends, steps, batch, locate)
-    return followed, lost
+            _follow_on(problem, followed, guess, returns, limit, ends, steps, batch, locate)
+    return followed
 
 
 def _follow_on(
@@ -93,12 +93,12 @@ def _follow_on(
     steps: StepControl,
     batch: LaneBatch,
     locate: bool,
-) -> int:
-    """Follow the branch of a cycle and those of doubled ones, where they are new; how many signs led to nothing."""
+) -> None:
+    """Follow the branch of a cycle and those of doubled ones, where they are new."""
     begun = _first_point(problem, guess, path_lift(batch.flow, guess.path))
     if begun is None or _is_known(problem, followed, begun, returns):
-        return 0
-    lift, lost = path_lift(batch.flow, guess.path), 0
+        return
+    lift = path_lift(batch.flow, guess.path)
     open_ = [(begun, returns, lift, True)]
     while open_:
         point, n, lift, both_ways = open_.pop(0)
@@ -107,9 +107,7 @@ def _follow_on(
         sides = []
         for way in (point, reversed_way(point))[: 1 + both_ways]:
             branch = follow_cycles(problem, way, lift, ends, steps)
-            located, missed = bifurcations(problem, branch, lift) if locate else ([], 0)
-            lost += missed
-            sides.append((branch, located))
+            sides.append((branch, *(bifurcations(problem, branch, lift) if locate else ([], []))))
         new = _joined(n, lift, *sides)
         followed.append(new)
         for bifurcation in new.bifurcations:
@@ -117,7 +115,6 @@ def _follow_on(
                 doubled = doubled_cycle(problem, bifurcation.point, lift)
                 if doubled is not None:
                     open_.append((doubled, 2 * n, 2.0 * lift, False))
-    return lost
 
 
 def _first_point(problem: Problem, guess: BoundarySolution, lift: Float[np.ndarray, " d"]) -> CyclePoint | None:
@@ -178,16 +175,19 @@ def _at_value(problem: Problem, point: CyclePoint, value: float, lift: Float[np.
 
 
 def _joined(
-    returns: int, lift: Float[np.ndarray, " d"], *sides: tuple[CycleBranch, list[CycleBifurcation]]
+    returns: int,
+    lift: Float[np.ndarray, " d"],
+    *sides: tuple[CycleBranch, list[CycleBifurcation], list[tuple[int, int]]],
 ) -> FollowedCycles:
     """The branch from one end to the other, of both directions from its first point or of one."""
-    ahead, located = sides[0]
+    ahead, located, lost = sides[0]
     if len(sides) == 1:
-        return FollowedCycles(returns, lift, ahead._replace(ends=(START, ahead.ends[1])), located)
-    back, before = sides[1]
+        return FollowedCycles(returns, lift, ahead._replace(ends=(START, ahead.ends[1])), located, lost)
+    back, before, lost_before = sides[1]
     turned = [reversed_way(point) for point in back.points[:0:-1]]
     place = len(back.points) - 1
     whole = CycleBranch([*turned, *ahead.points], (back.ends[1], ahead.ends[1]))
     moved_back = [point._replace(place=place - 1 - point.place) for point in before]
     moved_ahead = [point._replace(place=place + point.place) for point in located]
-    return FollowedCycles(returns, lift, whole, [*moved_back, *moved_ahead])
+    signs = [(place - 1 - k, kind) for k, kind in lost_before] + [(place + k, kind) for k, kind in lost]
+    return FollowedCycles(returns, lift, whole, [*moved_back, *moved_ahead], signs)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 
 from jaxnh.analyses.continuation.known_branches import SAME, KnownBranches, same_orbit
-from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, neutral_pair
+from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, locate_near, neutral_pair
 from jaxnh.orbits.bifurcations.normal_forms import cubic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, along_parameter, correct
 from jaxnh.orbits.continuation.branches import Branch, follow_both_ways
@@ -28,7 +28,6 @@ from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
 _LOOKED_AT = 9  # points of a branch
 _ABREAST = 8  # times the branches that fill a tile: of 32 lanes a tile, calls of 64 to 512 take a quarter of the time
-_NARROW = 1 / 64  # of a chord, about the place of a bifurcation of a less fine map
 _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
 
 
@@ -63,12 +62,25 @@ class Bifurcation(NamedTuple):
     criticality: int
 
 
+class SignChange(NamedTuple):
+    """A change of a test function's sign between two points of a branch, by the place of the first of them.
+
+    Attributes:
+        branch, place: number of the branch, and of the point.
+        kind: of the bifurcation that it tells, a number in `KINDS`.
+    """
+
+    branch: int
+    place: int
+    kind: int
+
+
 class Tree(NamedTuple):
-    """Branches, their bifurcations, and how many sign changes of test functions led to none."""
+    """Branches, their bifurcations, and the changes of sign of test functions that led to none."""
 
     branches: list[Branch]
     bifurcations: list[Bifurcation]
-    lost: int
+    lost: list[SignChange]
 
 
 Stage = Callable[[str], AbstractContextManager[object]]
@@ -91,7 +103,7 @@ def grow(
         steps: how branches are followed.
         stage: shows what is done inside, by its label.
     """
-    tree = Tree([], [], 0)
+    tree = Tree([], [], [])
     for wave in waves:
         open_ = list(wave)
         begun: dict[int, list[CurveOrbits]] = {}
@@ -186,7 +198,7 @@ def _add_branches(
         return tree, [], parents
     with stage(f"{len(stretch.kind)} bifurcations of period {n}"):
         points, first, vectors, lost = _locate(families, stretch, count)
-        tree = tree._replace(lost=tree.lost + lost)
+        tree.lost.extend(lost)
         kept = list[int]()
         for k, point in enumerate(points):
             if not any(_same(families[0], point, other) for other in tree.bifurcations):
@@ -205,24 +217,25 @@ def _add_branches(
 
 def _locate(
     families: Sequence[Family], stretch: Brackets, count: int
-) -> tuple[list[Bifurcation], CurveOrbits, Float[np.ndarray, "some n d"], int]:
+) -> tuple[list[Bifurcation], CurveOrbits, Float[np.ndarray, "some n d"], list[SignChange]]:
     """Bifurcations in brackets, of branches that are numbered from `count` on; orbits of the first map there.
 
-    Also the critical vectors of real multipliers, and how many sign changes led to nothing.
+    Also the critical vectors of real multipliers, and the sign changes that led to nothing.
     """
     first = locate(families[0], stretch)
     neutral = np.isin(stretch.kind, (NEIMARK_SACKER, HOPF)) & first.exists
     neutral[neutral] = neutral_pair(families[0], first.orbits.take(neutral))
     located = np.flatnonzero(first.exists & ~neutral)
-    lost = int(np.sum(~first.exists))
+    lost = _sign_changes(stretch, ~first.exists, count)
     stretch, first = (jax.tree.map(lambda leaf: leaf[located], part) for part in (stretch, first))
     if not len(located):
         return [], first.orbits, np.zeros(first.orbits.points.shape), lost
-    second, third = (locate(finer, stretch, first, _NARROW) for finer in families[1:])
+    second, third = (locate_near(finer, stretch, first) for finer in families[1:])
     value = second.orbits.value
     error = np.abs(value - first.orbits.value) + np.abs(third.orbits.value - value)
     error += np.maximum(second.error, third.error)
-    sure = np.flatnonzero(second.exists & third.exists & np.isfinite(error))
+    known = second.exists & third.exists & np.isfinite(error)
+    sure, lost = np.flatnonzero(known), [*lost, *_sign_changes(stretch, ~known, count)]
     orbits, kind = second.orbits.take(sure), stretch.kind[sure]
     normal, values = cubic(families[1], orbits, kind), eigenvalues(families[1], orbits)
     coefficient = np.where(kind == FOLD, second.bend[sure], normal.coefficient)
@@ -240,7 +253,13 @@ def _locate(
         )
         for k, at in enumerate(sure.tolist())
     ]
-    return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost + len(located) - len(sure)
+    return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost
+
+
+def _sign_changes(stretch: Brackets, which: Bool[np.ndarray, " some"], count: int) -> list[SignChange]:
+    """Some of the brackets on branches that are numbered from `count` on."""
+    rows = zip(stretch.branch[which] + count, stretch.place[which], stretch.kind[which], strict=True)
+    return [SignChange(int(branch), int(place), int(kind)) for branch, place, kind in rows]
 
 
 def _parents(family: Family, branch: Branch) -> list[SeedOrbit]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -122,20 +123,21 @@ def _on_cubics(
     size = length(family, PathVector(points[1] - points[0], values[1] - values[0]))
     rates, slopes = size * ways.value, size[:, None, None] * ways.points
 
-    def rise(s: np.ndarray) -> np.ndarray:
-        left = 1.0 - s
-        whole = 6.0 * s * left * (values[1] - values[0])
-        return whole + left * (1.0 - 3.0 * s) * rates[0] + s * (3.0 * s - 2.0) * rates[1]
+    def rise(s: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        left, (first, last), (begun, ended) = 1.0 - s, values[:, rows], rates[:, rows]
+        return 6.0 * s * left * (last - first) + left * (1.0 - 3.0 * s) * begun + s * (3.0 * s - 2.0) * ended
 
-    def above(s: np.ndarray) -> np.ndarray:
-        return _cubic(s, values, rates) - value
+    def above(s: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return _cubic(s, values[:, rows], rates[:, rows]) - value
 
-    zero, one = np.zeros(len(size)), np.ones(len(size))
-    turn = np.where(rise(zero) * rise(one) < 0.0, _zeros(rise, zero, one), 0.0)
+    zero, one, every = np.zeros(len(size)), np.ones(len(size)), np.arange(len(size))
+    turn, turns = zero.copy(), np.flatnonzero(rise(zero, every) * rise(one, every) < 0.0)
+    turn[turns] = _zeros(partial(rise, rows=turns), zero[turns], one[turns])
     orbits = list[np.ndarray]()
     for low, high in ((zero, turn), (turn, one)):
-        passes = (above(low) <= 0.0) != (above(high) <= 0.0)
-        orbits.append(_cubic(_zeros(above, low, high)[:, None, None], points, slopes)[passes])
+        rows = np.flatnonzero((above(low, every) <= 0.0) != (above(high, every) <= 0.0))
+        places = _zeros(partial(above, rows=rows), low[rows], high[rows])[:, None, None]
+        orbits.append(_cubic(places, points[:, rows], slopes[:, rows]))
     return np.concatenate(orbits)
 
 
@@ -150,6 +152,8 @@ def _zeros(
     function: Callable[[np.ndarray], np.ndarray], low: Float[np.ndarray, " some"], high: Float[np.ndarray, " some"]
 ) -> Float[np.ndarray, " some"]:
     """Bisect for the places where functions change sign."""
+    if not len(low):
+        return low
     positive: Bool[np.ndarray, " some"] = function(high) > 0.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

@@ -31,7 +31,8 @@ from jaxnh.systems.flow import Output
 
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
-    "begins", "ends", "points", "kind", "criticality", "coefficient", "parameter", "duration",
+    "begins", "ends", "points", "kind", "not_located", "not_located_kind", "criticality", "coefficient",
+    "parameter", "duration",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
@@ -85,10 +86,16 @@ def datasets(
         "method": "shooting" if grown[0].durations is None else "collocation",
         **({"warnings": words} if (words := _warnings(axis, trees)) else {}),
     }
-    lost = sum(tree.lost for tree in trees)
+    lost = sum(len(tree.lost) for tree in trees)
     if (timed := grown[0].durations) is not None:
         branches["duration"] = _durations(timed, [rank[0, k] for k in range(len(timed))], branches, batch)
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
+    signs = np.full(branches[axis.name][1].shape, -1)
+    for of, tree in enumerate(trees):
+        for change in tree.lost:
+            signs[rank[of, change.branch], change.place] = change.kind
+    words = "kind of bifurcation that could not be located between the point and the next one"
+    branches["not_located_kind"] = flag(("branch", "point"), signs, words, ("none", *KINDS), -1)
     points = _bifurcations(lanes, grown, bifurcations, [rank[of, point.branch] for of, point in bifurcations])
     own = {"along": axis.name}
     if derived:
@@ -128,7 +135,7 @@ def _warnings(axis: Axis, trees: Sequence[Tree]) -> str:
     """Lines for the user."""
     if not trees[0].branches:
         return f"branches: there is no periodic orbit to follow along {axis.name}"
-    if lost := sum(tree.lost for tree in trees):
+    if lost := sum(len(tree.lost) for tree in trees):
         return f"branches: {lost} sign changes of test functions led to no bifurcation that could be located"
     return ""
 

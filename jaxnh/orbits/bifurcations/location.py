@@ -17,7 +17,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, correct, inner, length, minus, times
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.core import FINE
-from jaxnh.orbits.continuation.kinds import BRANCH_POINT, FOLD, eigenvalues, kinds, test_functions
+from jaxnh.orbits.continuation.kinds import BRANCH_POINT, FOLD, NEIMARK_SACKER, eigenvalues, kinds, test_functions
 from jaxnh.orbits.continuation.paths import COLLAPSED
 
 NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)
@@ -28,12 +28,14 @@ _FIT = np.linalg.pinv(np.vander(NODES, _DEGREE + 1, increasing=True))
 _THROUGH = np.linalg.inv(np.vander(NODES, increasing=True))
 _NARROWER = 64  # from round to round
 _ROUNDS = 4
-_CLOSER = 3  # times that a bracket in which no polynomial fits is narrowed to where the test function changes sign
+_CLOSER = 10  # times that a bracket in which no polynomial fits is narrowed to where the test function changes sign
+_NEAR = (1 / 64, 1 / 4, 2.0)  # of a chord, about the place of a zero of a less fine map
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
 _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
 _ON_CIRCLE = 1e-4  # of a modulus from one, where the product of two multipliers is one to rounding
 _REAL = 1e-6  # imaginary part of a multiplier, of its modulus
+_FAR = 100.0  # ratio of two real multipliers that do not merge and part again within a step
 _STILL = 1e-8  # rates of the parameter that the corrector's last step does not tell from zero
 _BESIDE = np.array([-2.0, -1.0, 1.0, 2.0]) / 64  # of a chord, places beside a branch point
 _BETWEEN = np.array([-1.0, 4.0, 4.0, -1.0]) / 6  # weights of the cubic through them in their middle
@@ -90,6 +92,9 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
         changes[:, order.index(FOLD)] &= turns > _STILL
         # Where both change, the branch turns because another one crosses it there: it is that one's pitchfork.
         changes[:, order.index(FOLD)] &= ~changes[:, order.index(BRANCH_POINT)]
+        if NEIMARK_SACKER in order:
+            far = _real_and_far(branch.multipliers)
+            changes[:, order.index(NEIMARK_SACKER)] &= ~(far[1:] & far[:-1])  # a neutral saddle, no bifurcation
         changes[0] &= branch.ends[0] != COLLAPSED  # there it is the doubling of another branch that shows
         changes[-1] &= branch.ends[1] != COLLAPSED
         changed += [(number, int(i), order[k]) for i, k in zip(*np.nonzero(changes), strict=True)]
@@ -108,6 +113,19 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
     chord = PathVector(ended.points - begun.points, ended.value - begun.value)
     size = length(family, chord)
     return Brackets(branch, place, kind, begun, chord, (times(size, first), times(size, second)))
+
+
+def _real_and_far(values: Complex[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:
+    """Return whether the two multipliers whose product is nearest to one are real, and far from merging."""
+    i, j = np.triu_indices(values.shape[1], 1)
+    if not len(i):
+        return np.zeros(len(values), bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log(np.abs(values))
+        nearest = np.argmin(np.nan_to_num(np.abs(logs[:, i] + logs[:, j]), nan=np.inf), axis=1)[:, None]
+        gap = np.take_along_axis(np.abs(logs[:, i] - logs[:, j]), nearest, axis=1)[:, 0]
+    real = np.abs(np.imag(values)) <= _REAL * np.abs(values)
+    return np.take_along_axis(real[:, i] & real[:, j], nearest, axis=1)[:, 0] & (gap > np.log(_FAR))
 
 
 def locate(
@@ -139,10 +157,10 @@ def locate(
             along.points[whole], along.value[whole] = nodes.points.reshape(along.points.shape)[whole], values[whole]
         with np.errstate(invalid="ignore"):
             good = whole & np.isfinite(root) & (blur < _NOISE * begun[open_]) & (off < 0.25 * error[open_])
-        closer, k = _around_change(tests, whole & ~good & ~exists[open_])
+        closer, low, high = _around_change(tests, whole & ~good & ~exists[open_])
         there = open_[closer]
-        share[there] += 0.5 * widths[there] * (NODES[k] + NODES[k + 1])
-        widths[there] *= 0.5 * np.abs(NODES[k + 1] - NODES[k])
+        share[there] += 0.5 * widths[there] * (low + high)
+        widths[there] *= 0.5 * (high - low)
         begun[there] = widths[there]
         open_, width, root = open_[good], widths[open_][good], root[good]
         share[open_] += width * root
@@ -160,13 +178,38 @@ def locate(
     return BifurcationPoints(share, value, error, bend, orbits, exists, along)
 
 
+def locate_near(family: Family, stretch: Brackets, near: BifurcationPoints) -> BifurcationPoints:
+    """The zeros near those of a less fine map, in wider and wider parts of the curve where there are none.
+
+    Zeros may be apart by more than a step of the curve where that is short, as beside steep multipliers.
+    """
+    located = locate(family, stretch, near, _NEAR[0])
+    for half in _NEAR[1:]:
+        left = np.flatnonzero(~located.exists)
+        if not len(left):
+            break
+        part, near_part = (jax.tree.map(lambda leaf, k=left: leaf[k], whole) for whole in (stretch, near))
+        again = locate(family, part, near_part, half)
+        for leaf, new in zip(jax.tree.leaves(located), jax.tree.leaves(again), strict=True):
+            leaf[left] = new
+    return located
+
+
 def _around_change(
     tests: Float[np.ndarray, "some nodes"], asked: Bool[np.ndarray, " some"]
-) -> tuple[Int[np.ndarray, " changed"], Int[np.ndarray, " changed"]]:
-    """Brackets among those asked for with one change of sign between nodes, and the number of the node before it."""
+) -> tuple[Int[np.ndarray, " changed"], Float[np.ndarray, " changed"], Float[np.ndarray, " changed"]]:
+    """Brackets among those asked for in which the sign changes, and between which places, in nodes' widths.
+
+    Of several changes the first is taken. Where there is none it is beyond the outer node where the function is less.
+    """
+    chosen = np.flatnonzero(asked)
+    tests = tests[chosen]
     changes = np.diff(np.signbit(tests), axis=1)
-    chosen = np.flatnonzero(asked & (changes.sum(axis=1) == 1))
-    return chosen, np.argmax(changes[chosen], axis=1)
+    k, last = np.argmax(changes, axis=1), np.abs(tests[:, -1]) < np.abs(tests[:, 0])
+    outer = np.where(last, NODES[-1], NODES[0])
+    none, beyond = ~changes.any(axis=1), np.sign(outer) * (2.0 - np.abs(outer))
+    ends = np.stack([np.where(none, outer, NODES[k]), np.where(none, beyond, NODES[k + 1])])
+    return chosen, ends.min(axis=0), ends.max(axis=0)
 
 
 def neutral_pair(family: Family, orbits: CurveOrbits) -> Bool[np.ndarray, " some"]:

@@ -80,9 +80,9 @@ def torus_test(point: CyclePoint) -> float:
 
 def bifurcations(
     problem: Problem, branch: CycleBranch, lift: Float[np.ndarray, " d"]
-) -> tuple[list[CycleBifurcation], int]:
-    """The bifurcations on a branch in its order, and how many changes of sign led to none."""
-    located, lost = list[CycleBifurcation](), 0
+) -> tuple[list[CycleBifurcation], list[tuple[int, int]]]:
+    """The bifurcations on a branch in its order, and places and kinds of the changes of sign that led to none."""
+    located, lost = list[CycleBifurcation](), list[tuple[int, int]]()
     for place, (now, after) in enumerate(itertools.pairwise(branch.points)):
         turns = _changes(fold_test, now, after)
         crosses = _changes(unit_test, now, after) and not turns
@@ -96,11 +96,11 @@ def bifurcations(
             if not changes:
                 continue
             if kind != FOLD and not (now.resolved and after.resolved):
-                lost += 1
+                lost.append((place, kind))
                 continue
             point, error = _locate(problem, now, after, lift, test)
             if point is None:
-                lost += 1
+                lost.append((place, kind))
             elif kind != NEIMARK_SACKER or not _neutral(point):
                 located.append(CycleBifurcation(kind, place, point, error))
     return located, lost
