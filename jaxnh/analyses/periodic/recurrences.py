@@ -1,7 +1,7 @@
 """Periods that the strobe points of a lane may have: those after which points recur. Newton decides which it has.
 
-On the host lanes are sorted out as they go; on a card, beside which the host is slow, one program looks at all periods of
-each lane. Both say the same.
+On the host lanes are sorted out as they go; on a card, beside which the host is slow, one program looks at all periods
+of each lane. Both say the same.
 """
 
 from __future__ import annotations
