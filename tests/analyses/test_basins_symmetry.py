@@ -112,7 +112,7 @@ def test_no_attractor_of_a_conservative_flow(tmp_path, coordinates, rates, rest,
     first, second = coordinates
     sweep = {first: line(0.1, 1.9, 6), second: line(-0.9, 0.8, 6)}
     accuracy = {"accuracy": {"solver": "tsit5", "steps": 48 if "period" in rest else 24}}
-    options = {"max_periods": 256, "max_period": 4}
+    options = {"max_periods": 512, "max_period": 4}
     tree = session_of(experiment(tmp_path, coordinates, rates, sweep, options, rest, **accuracy)).tree()
     assert np.all(labels(tree) == 0)
     assert kinds(tree["attractors"]) == []
