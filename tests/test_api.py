@@ -102,8 +102,8 @@ def test_every_name_resolves():
     for name in jaxnh.__all__:
         found = getattr(jaxnh, name)
         assert isinstance(found, str) or found.__doc__, name
-    for name in vars(exceptions):
-        if isinstance(getattr(exceptions, name), type):
+    for name, each in vars(exceptions).items():
+        if isinstance(each, type) and each.__module__ == exceptions.__name__:
             assert name in jaxnh.__all__
     with pytest.raises(AttributeError, match="no attribute sweeps"):
         jaxnh.sweeps  # noqa: B018
