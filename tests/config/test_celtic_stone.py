@@ -219,12 +219,16 @@ def test_two_kinds_of_chaos():
     sweep = "sweep={energy: {values: [386.0, 741.0]}, delta: {values: [0.3, 0.5]}}"
     options = "analyses={lyapunov: {transient: 512, periods: 1024, exponents: 4, method: averages}}"
     data = groups_of("celtic_chart", sweep, "accuracy.target=1.0e-7", options)["lyapunov"]
-    values, error = (data[name].to_numpy()[[0, 1], [0, 1]] for name in ("exponents", "exponents_error"))
+    values, error, total, total_error = (
+        data[name].to_numpy()[[0, 1], [0, 1]]
+        for name in ("exponents", "exponents_error", "exponent_sum", "exponent_sum_error")
+    )
     conservative, strange = values
-    assert conservative[0] > 10.0 * error[0, 0]
-    assert abs(conservative[0] + conservative[3]) < 0.1 * conservative[0]
-    assert np.abs(conservative[1:3]).max() < 0.1 * conservative[0]
-    assert strange[0] > 10.0 * error[1, 0]
-    assert abs(strange[1]) <= error[1, 1] + 0.01 * strange[0]
-    assert strange[2] < -0.2 * strange[0]
-    assert strange[2] + error[1, 2] < 0.0
+    # Signs and zeros are those beyond and within two of the bars that 1,024 returns leave, some tenth of the largest exponent.
+    assert np.all(values[:, 0] > 2.0 * error[:, 0])
+    assert np.all(np.abs(conservative[1:3]) <= 2.0 * error[0, 1:3])
+    assert abs(conservative[0] + conservative[3]) <= 2.0 * (error[0, 0] + error[0, 3])
+    assert abs(total[0]) <= 2.0 * total_error[0]
+    assert abs(strange[1]) <= 2.0 * error[1, 1]
+    assert np.all(strange[2:] < -2.0 * error[1, 2:])
+    assert total[1] < -2.0 * total_error[1]
