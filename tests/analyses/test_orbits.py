@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import heyoka as hy
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -97,31 +99,87 @@ def test_cycles_of_the_henon_map():
     assert set(jaxnh.labels(data["stability"]).to_numpy()) == {"saddle"}
 
 
-def test_leaves_of_the_henon_attractor_come_to_the_saddle_in_it_and_to_no_other():
-    """The fixed point inside is homoclinic (Benedicks and Carleson 1991); the other one is on the boundary of the basin."""
-    flow = discrete_map(henon, {"a": 1.4, "b": 0.3})
-    batch = batch_of(flow, flow.start({"x": 0.3, "y": 0.1}), np.array([1.4]), tsit5, 1, name="a")
+def cubic_henon(m=0.815):
+    """The three-dimensional Henon map with b = 0.7 (Gonchenko, Ovsyannikov, Simó and Turaev 2005)."""
+    return {"map": lambda s: (s[1], s[2], 0.7 * s[0] + m * s[1] - s[2] ** 2), "coordinates": ("x", "y", "z")}
+
+
+def strobes_of_duffing(force=0.38):
+    """x'' + x'/2 - x + x³ = force cos t from strobe to strobe, by 128 steps of Runge and Kutta's method."""
+    h = 2.0 * np.pi / 128
+
+    def field(s, t):
+        return jnp.stack([s[1], s[0] - s[0] ** 3 - 0.5 * s[1] + force * jnp.cos(t)])
+
+    def step(i, s):
+        k1 = field(s, i * h)
+        k2 = field(s + h / 2 * k1, i * h + h / 2)
+        k3 = field(s + h / 2 * k2, i * h + h / 2)
+        return s + h / 6 * (k1 + 2.0 * k2 + 2.0 * k3 + field(s + h * k3, i * h + h))
+
+    return {"map": lambda s: tuple(jax.lax.fori_loop(0, 128, step, jnp.stack(s))), "coordinates": ("x", "v")}
+
+
+def distances_from_leaves(system, parameter, start, saddles, count):
+    """Distances of fixed points (saddles, d), in sizes, from the leaves and from the points of a motion of that many."""
+    (name, value), d = *parameter.items(), len(start)
+    flow = discrete_map(system, parameter)
+    batch = batch_of(flow, flow.start(dict(start)), np.array([value]), tsit5, 1, name=name)
     at = map_of_lanes(batch, lanes_with_kept_programs(), refined_maps(batch)[0])
-    motion = [np.array([0.3, 0.1])]
-    for _ in range(600):
-        x, y = motion[-1]
-        motion.append(np.array([1.0 - 1.4 * x**2 + y, 0.3 * x]))
-    settled = np.broadcast_to(np.array(motion[88:]), (2, 513, 2))
-    x = np.sort(np.roots([1.4, 0.7, -1.0]))
-    saddles = np.stack([x, 0.3 * x], axis=1)[:, None]
+    image = jax.jit(lambda s: jnp.stack(system(value)["map"](tuple(s))))
+    motion = [jnp.array(list(start.values()))]
+    for _ in range(512 + count):
+        motion.append(image(motion[-1]))
+    settled = np.array(motion[-count:])
+    for _ in range(8):
+        saddles = saddles - np.stack([np.linalg.solve(jax.jacfwd(image)(u) - np.eye(d), image(u) - u) for u in saddles])
+    size, number = np.ptp(settled, axis=0), len(saddles)
     nearest = leaf_distances(
         at,
         lambda u, lane: np.asarray(at(u, lane).image),
         batch.chart,
-        settled,
-        saddles,
-        np.zeros(2, int),
-        np.ones((2, 2)),
-        np.full(2, 1e-5),
+        np.broadcast_to(settled, (number, count, d)),
+        saddles[:, None],
+        np.zeros(number, int),
+        np.broadcast_to(size, (number, d)),
+        np.full(number, 1e-5),
+    )
+    return nearest, np.min(np.linalg.norm((settled - saddles[:, None]) / size, axis=2), axis=1)
+
+
+@pytest.mark.parametrize("a", [1.4, 1.4265])
+def test_leaves_of_the_henon_attractor_come_to_the_saddle_in_it_and_to_no_other(a):
+    """The fixed point inside is homoclinic (Benedicks and Carleson 1991); the other one is on the boundary of the basin.
+
+    The attractor comes to that one at a = 1.42692 (Grebogi, Ott and Yorke, Physica D 7 (1983) 181), and is as near to it
+    before as to that inside.
+    """
+    x = np.sort(np.roots([a, 0.7, -1.0]))
+    nearest, of_points = distances_from_leaves(
+        henon, {"a": a}, {"x": 0.3, "y": 0.1}, np.stack([x, 0.3 * x], axis=1), 513
     )
     assert np.isinf(nearest[0])
     assert nearest[1] < 1e-5
-    assert np.min(np.linalg.norm(settled[1] - saddles[1], axis=1)) > 1e-3
+    assert of_points[1] > 2e-4
+
+
+@pytest.mark.parametrize("m", [0.815, *(pytest.param(m, marks=pytest.mark.slow) for m in (0.83, 0.85))])
+def test_leaves_of_a_discrete_lorenz_attractor_come_to_its_saddle_and_not_to_the_origin(m):
+    saddles = np.array([[m - 0.3] * 3, [0.0] * 3])
+    nearest, of_points = distances_from_leaves(cubic_henon, {"m": m}, {"x": 0.05, "y": 0.0, "z": 0.0}, saddles, 2048)
+    assert nearest[0] < 1e-5
+    assert of_points[0] > 1e-3
+    assert np.isinf(nearest[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("force", "inside"), [(0.38, False), (0.382, False), (0.3835, True), (0.39, True)])
+def test_leaves_of_duffings_twins_come_to_the_saddle_between_them_once_they_have_merged(force, inside):
+    """By heyoka the twins merge between 0.3822 and 0.3825."""
+    saddle = np.array([[-force / 2.125, force / 8.5]])
+    nearest, of_points = distances_from_leaves(strobes_of_duffing, {"force": force}, {"x": 1.0, "v": 0.0}, saddle, 2048)
+    assert of_points[0] < 0.06
+    assert nearest[0] < 1e-3 if inside else np.isinf(nearest[0])
 
 
 @pytest.mark.slow
