@@ -18,7 +18,7 @@ from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector,
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, FOLD, NEIMARK_SACKER, eigenvalues, kinds, test_functions
-from jaxnh.orbits.continuation.paths import COLLAPSED
+from jaxnh.orbits.continuation.paths import COLLAPSED, NEAR
 
 NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)
 """Chebyshev nodes of [−1, 1]."""
@@ -251,7 +251,8 @@ def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, "some k"
     size = inner(family, chord, chord)
     gone = inner(family, PathVector(points - begun.points, value - begun.value), chord) / size
     more = times(share.ravel() - gone, chord)
-    return correct(family, points + more.points, value + more.value, times(1.0 / np.sqrt(size), chord), FINE)
+    across, reach = times(1.0 / np.sqrt(size), chord), NEAR * np.sqrt(size)
+    return correct(family, points + more.points, value + more.value, across, FINE, reach)
 
 
 def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"], along: PathVector) -> CurveOrbits:

@@ -134,6 +134,7 @@ def correct(
     value: Float[np.ndarray, " lanes"],
     across: PathVector,
     tolerance: float = ROUGH,
+    reach: Float[np.ndarray, " lanes"] | None = None,
 ) -> CurveOrbits:
     """The orbits on curves nearest to guesses in the hyperplanes across ways, and the direction of the curve there.
 
@@ -144,9 +145,10 @@ def correct(
         points, value: guesses.
         across: ways, to which steps of Newton are orthogonal.
         tolerance: length of a step after which an orbit is known.
+        reach: as of `core.correct`.
     """
     z, normal = (join_path(part) for part in (PathVector(points, value), across))
-    return orbits_of(family, core.correct(CycleEquations(family, points.shape[1]), z, normal, tolerance))
+    return orbits_of(family, core.correct(CycleEquations(family, points.shape[1]), z, normal, tolerance, reach))
 
 
 def join_path(path: PathVector) -> Float[np.ndarray, "lanes N"]:

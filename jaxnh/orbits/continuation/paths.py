@@ -35,7 +35,9 @@ that its extremum has, or meets another surface."""
 
 _BENT = 0.97  # cosine of the angle between directions at the ends of a step, at least
 _MISSED = 0.15  # of a step that Newton goes back, at most
-_NEAR = 0.3  # of a step, that steps of Newton need not contract below
+NEAR = 0.3
+"""Of a step: steps of Newton below this need not contract."""
+
 _WANTED = 0.04  # what steps are chosen for
 _GROWTH = 1.5  # of a step that went well
 _SHRINKAGE = 0.1  # of one that did not, at most
@@ -170,7 +172,7 @@ class Path:
         polynomials = _polynomials(unit, self._past)
         guess = self._guess(polynomials, np.minimum(self._size[active], equations.room(now)))
         step = guess.step
-        taken = correct(equations, guess.z, guess.across, ROUGH, np.maximum(_NEAR * step, ROUGH))
+        taken = correct(equations, guess.z, guess.across, ROUGH, np.maximum(NEAR * step, ROUGH))
         lost = ~np.isfinite(taken.residual) & (taken.missed == 0.0)  # at the guess itself
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, control.ds_min), 0.0)
