@@ -28,6 +28,7 @@ _FIT = np.linalg.pinv(np.vander(NODES, _DEGREE + 1, increasing=True))
 _THROUGH = np.linalg.inv(np.vander(NODES, increasing=True))
 _NARROWER = 64  # from round to round
 _ROUNDS = 4
+_ENOUGH = 1e-3  # of how far a zero is from that of the map before: a less error of it widens no bar
 _CLOSER = 10  # times that a bracket in which no polynomial fits is narrowed to where the test function changes sign
 _NEAR = (1 / 64, 1 / 4, 2.0)  # of a chord, about the place of a zero of a less fine map
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
@@ -168,7 +169,10 @@ def locate(
         bend[open_] = turn[good] / family.width / (length(family, part.chord)[good] * width) ** 2
         widths[open_] /= np.where(np.abs(root) <= 1.0, _NARROWER, 1.0)
         rounds[open_] += 1
-        open_ = np.sort(np.concatenate([open_[rounds[open_] < _ROUNDS], there]))
+        going = rounds[open_] < _ROUNDS
+        if near is not None:
+            going &= error[open_] > _ENOUGH * np.abs(value[open_] - near.value[open_])
+        open_ = np.sort(np.concatenate([open_[going], there]))
         if not len(open_):
             break
     orbits = _at_roots(family, stretch, share, along)
