@@ -172,6 +172,66 @@ def test_mean_power_and_exponents_over_the_drives_frequency(tmp_path):
         assert np.all(np.abs(gap(zeta, omega)) <= slopes[0] * zeta_error + slopes[1] * omega_error + 1e-15)
 
 
+VAN_DER_POL = """
+import jax.numpy as jnp
+
+
+def system(force=0.6, mu=0.1):
+    def rhs(y, t):
+        x, v = y
+        return v, mu * (1 - x * x) * v - x + force * jnp.cos(0.8 * t)
+
+    observables = {"square": lambda y, t: y[0] ** 2}
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / 0.8, "observables": observables}
+"""
+
+
+def square_of_van_der_pol(force, mu):
+    """The mean of x² along the cycle of x″ − μ(1 − x²)x′ + x = F cos 0.8t, by heyoka.
+
+    Newton begins with the first harmonic where the mean is 1, X = F/(1 − ω² − iμω(1 − |X|²/4)).
+    """
+    heyoka = pytest.importorskip("heyoka")
+    strobe = pytest.importorskip("tests.helpers.heyoka_newton").strobe_map
+
+    def rates(x, v, _, force, mu, t):
+        return v, mu * (1 - x * x) * v - x + force * heyoka.cos(0.8 * t), x * x
+
+    image = strobe(rates, 3, 2 * np.pi / 0.8, parameters=2)
+    harmonic = force / (0.36 - 0.4j * mu)
+    point = np.array([harmonic.real, -0.8 * harmonic.imag, 0.0])
+    for _ in range(8):
+        after, slopes = (np.asarray(part, float) for part in image(np.array([force, mu]), point))
+        step = np.linalg.solve(np.eye(2) - slopes[:2, :2], (after - point)[:2])
+        point[:2] += step
+    assert np.abs(step).max() < 1e-13
+    return after[2] * 0.8 / (2 * np.pi)
+
+
+@pytest.mark.slow
+def test_a_driven_cycle_that_keeps_volumes(tmp_path):
+    """The divergence of van der Pol's field is μ(1 − x²): its mean is zero where that of x² is one, by heyoka."""
+    sweep = "force: {start: 0.4, stop: 0.9, count: 5}, mu: {start: 0.1, stop: 0.3, count: 2}"
+    options = "n_values: 2, ds_max: 0.1, mean: {square: 1.3}, exponent_sum: 0.0"
+    data = data_of(curves_of(tmp_path, VAN_DER_POL, "{x: 1.5}", sweep, options))
+    assert sorted(kinds_of(data)) == ["exponent_sum", "mean"]
+    for k, kind in enumerate(kinds_of(data)):
+        force, mu, *errors = points_of(data, k, "force", "mu")
+        assert (mu.min(), mu.max()) == pytest.approx((0.1, 0.3))
+        assert max(error.max() for error in errors) < 1e-8
+        pairs = list(zip(force, mu, *errors, strict=True))
+        covered = 0
+        for one, other, *bars in pairs:
+            shift = 1e-5
+            slopes = [
+                abs(square_of_van_der_pol(one + a, other + b) - square_of_van_der_pol(one - a, other - b)) / (2 * shift)
+                for a, b in ((shift, 0.0), (0.0, shift))
+            ]
+            off = abs(square_of_van_der_pol(one, other) - (1.3 if kind == "mean" else 1.0))
+            covered += off <= slopes[0] * bars[0] + slopes[1] * bars[1] + 1e-15
+        assert covered >= 0.95 * len(pairs)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("names", "factor"), [("{v: 1.4}", 2.0), ("{x: 1.0}", None)])
 def test_amplitude_with_a_clock(tmp_path, names, factor):
