@@ -255,8 +255,8 @@ def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, "some k"
     size = inner(family, chord, chord)
     gone = inner(family, PathVector(points - begun.points, value - begun.value), chord) / size
     more = times(share.ravel() - gone, chord)
-    across, reach = times(1.0 / np.sqrt(size), chord), NEAR * np.sqrt(size)
-    return correct(family, points + more.points, value + more.value, across, FINE, reach)
+    across, slack = times(1.0 / np.sqrt(size), chord), NEAR * np.sqrt(size)
+    return correct(family, points + more.points, value + more.value, across, FINE, slack)
 
 
 def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"], along: PathVector) -> CurveOrbits:

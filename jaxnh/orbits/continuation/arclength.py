@@ -134,7 +134,7 @@ def correct(
     value: Float[np.ndarray, " lanes"],
     across: PathVector,
     tolerance: float = ROUGH,
-    reach: Float[np.ndarray, " lanes"] | None = None,
+    slack: Float[np.ndarray, " lanes"] | None = None,
 ) -> CurveOrbits:
     """The orbits on curves nearest to guesses in the hyperplanes across ways, and the direction of the curve there.
 
@@ -145,10 +145,11 @@ def correct(
         points, value: guesses.
         across: ways, to which steps of Newton are orthogonal.
         tolerance: length of a step after which an orbit is known.
-        reach: as of `core.correct`.
+        slack: lengths of steps that need not be half of the last, by default none.
     """
     z, normal = (join_path(part) for part in (PathVector(points, value), across))
-    return orbits_of(family, core.correct(CycleEquations(family, points.shape[1]), z, normal, tolerance, reach))
+    equations = CycleEquations(family, points.shape[1])
+    return orbits_of(family, core.correct(equations, z, normal, tolerance, slack=slack))
 
 
 def join_path(path: PathVector) -> Float[np.ndarray, "lanes N"]:

@@ -150,6 +150,7 @@ def correct(
     across: Float[np.ndarray, "lanes N"] | None = None,
     tolerance: float = ROUGH,
     reach: Float[np.ndarray, " lanes"] | None = None,
+    slack: Float[np.ndarray, " lanes"] | None = None,
 ) -> Solution:
     """The points of curves nearest to guesses in the hyperplanes across directions, and the curve's direction there.
 
@@ -164,6 +165,7 @@ def correct(
         tolerance: length of a step after which a point is known; infinite: the guesses are taken as they are.
         reach: lengths of steps beyond which they lead elsewhere, and within which they need not be half of the last;
             by default the first may be of any length.
+        slack: without `reach`, lengths of steps that need not be half of the last, by default none.
     """
     lanes, z = len(z), np.array(z)
     last, refused = np.full(lanes, np.inf), np.zeros(lanes)
@@ -186,6 +188,8 @@ def correct(
         with np.errstate(invalid="ignore"):
             certain = ~known & (size <= _CERTAIN) & (tolerance > FINE)
             shrinks = (size <= _CONTRACTION * last[active]) if reach is None else size <= reach[active]
+            if slack is not None:
+                shrinks |= size <= slack[active]
         done = known | certain
         rest = active[done]
         _settle(unit, solution, rest, LinearSolution(*(leaf[done] for leaf in linear)), scale[done])
