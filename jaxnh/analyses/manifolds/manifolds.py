@@ -7,13 +7,15 @@ Saddles are sought by Newton from random starts (`saddles`); branches grow from 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import Analysis, OptionError, Setting, check_names
+from jaxnh.analyses.base import Analysis, OptionError, Setting, Table, check_names
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.branches import BranchSet, Side, grow_branches, has_branches, side_of
+from jaxnh.analyses.manifolds.branches import SIDES, BranchSet, Side, grow_branches, has_branches, side_of
 from jaxnh.analyses.manifolds.crossings import (
     Crossings,
     Meetings,
@@ -24,10 +26,14 @@ from jaxnh.analyses.manifolds.crossings import (
     take,
 )
 from jaxnh.analyses.manifolds.curves import ManifoldBranch
+from jaxnh.analyses.manifolds.equilibrium_surfaces import find_saddles, grow_surfaces, local_surfaces
 from jaxnh.analyses.manifolds.saddles import Saddles, find_germs, find_orbits, parameters_of, take_orbits
-from jaxnh.analyses.manifolds.tables import OWN_NAMES, Manifolds, table, variables
+from jaxnh.analyses.manifolds.surface_tables import Surfaces, surface_table, surface_variables
+from jaxnh.analyses.manifolds.surfaces import Growth, Surface
+from jaxnh.analyses.manifolds.tables import KINDS, OWN_NAMES, Manifolds, table, variables
 from jaxnh.analyses.manifolds.tangencies import Tangencies, locate_tangencies, near_tangencies, nearest_tangencies
 from jaxnh.analyses.options.orbits import ManifoldsOptions
+from jaxnh.analyses.periodic.flow_cycles import no_collocation
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.analyses.trajectories.states import section_attrs
@@ -35,18 +41,24 @@ from jaxnh.maps.iterate import section_map
 from jaxnh.systems.discrete_map import DiscreteMap
 
 _UNDOES = 1e-5  # sizes: how far from it an inverse map may take a point back
+_SHARE, _LEAST = 0.01, 1e-13  # of the accuracy, and in sizes: errors of a part of a surface
+_REACHED = 0.1  # of a unit of time, for a size: how fast motions of surfaces are, for the expected work
 _RETURNS = 24.0  # of a point of a branch, for the expected work
 
 
 def periods(options: ManifoldsOptions, lanes: int) -> float:
     """Return the lane-periods of a run: a guess, as saddles and points are not known before."""
+    if options.dimension == 2:
+        return lanes * options.saddles * _REACHED * options.max_points * options.spacing
     points = options.saddles * options.period**2 * 4 * min(options.max_points, 2 * options.length / options.spacing)
     return lanes * (options.n_starts * options.period * 60.0 + 2 * _RETURNS * points)
 
 
 def check(options: ManifoldsOptions, setting: Setting) -> None:
-    """Check the box, names, and that there are curves to grow and a parameter to move."""
+    """Check the box, names, and that there are curves to grow and a parameter to move, or surfaces."""
     flow = setting.flow
+    if options.dimension == 2:
+        _check_surfaces(setting)
     if flow.exponents - int(setting.autonomous) < 2:
         raise OptionError("manifolds are curves among other directions of the map, and it has one alone")
     if not options.box:
@@ -60,7 +72,9 @@ def check(options: ManifoldsOptions, setting: Setting) -> None:
 
 
 def run(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Return saddles, branches, crossings and tangencies of all lanes."""
+    """Return saddles, branches, crossings and tangencies of all lanes, or surfaces."""
+    if options.dimension == 2:
+        return _run_surfaces(options, batch.without_section(), lanes)
     sides = _sides(options, batch)
     with lanes.stage(f"manifolds: saddles of {batch.count:,} lanes", 0):
         orbits, size = find_orbits(batch, lanes, options.period, options.n_starts, options.seed, options.box)
@@ -87,6 +101,60 @@ def run(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Da
             tangencies = _tangencies(options.tangency, batch, lanes, (sides[0], sides[1]), saddles, size, both)
     made = Manifolds(saddles, number, grown, crossings, tangencies)
     return xr.Dataset(variables(options, batch, lanes, made), attrs=section_attrs(batch))
+
+
+def _check_surfaces(setting: Setting) -> None:
+    """Check that the system is a smooth flow without a clock, with directions beside two."""
+    flow = setting.flow
+    if not flow.continuous:
+        raise OptionError("surfaces are of flows, and this is a map; take dimension: 1", "dimension")
+    if not setting.autonomous:
+        message = "surfaces are of equilibria, which a flow with a clock has not; take dimension: 1 for those of its map"
+        raise OptionError(message, "dimension")
+    if why := no_collocation(flow):
+        raise OptionError(f"surfaces are not grown: {why}", "dimension")
+    if flow.chart.dimension < 3:
+        raise OptionError("a surface is all there is of a flow with two coordinates", "dimension")
+
+
+def _run_surfaces(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
+    """Return saddle equilibria and their manifolds of dimension two."""
+    tolerance = max(_SHARE * batch.error_estimate, _LEAST)
+    kinds = [kind for kind, word in enumerate(KINDS) if options.kind in (word, "both")]
+    with lanes.stage(f"manifolds: equilibria of {batch.count:,} lanes", 0):
+        known, size = find_saddles(batch, lanes, options.n_starts, options.seed, options.box)
+        local = {kind: local_surfaces(batch, lanes, known, size, SIDES[kind], tolerance) for kind in kinds}
+    two = np.array([any(of[k] is not None for of in local.values()) for k in range(len(known.lane))], bool)
+    number = np.bincount(known.lane[two], minlength=batch.count)
+    place = np.cumsum(two) - 1 - (np.cumsum(number) - number)[known.lane]
+    kept = np.flatnonzero(two & (place < options.saddles))
+    lane = known.lane[kept]
+    grown, eigenvalues = dict[int, list[Surface | None]](), dict[int, np.ndarray]()
+    with lanes.stage(f"manifolds: surfaces of {len(kept):,} saddles", periods(options, batch.count)):
+        for kind in kinds:
+            of_kind = [local[kind][k] for k in kept]
+            own = [i for i, each in enumerate(of_kind) if each is not None]
+            growth = Growth(
+                batch.flow,
+                size[lane[own]],
+                parameters_of(batch, lane[own]),
+                SIDES[kind],
+                options.spacing,
+                options.max_points,
+                tolerance,
+            )
+            surfaces = grow_surfaces(lanes, growth, [each for each in of_kind if each is not None], options.length)
+            grown[kind], eigenvalues[kind] = [None] * len(kept), np.full((len(kept), 2), np.nan + 0j)
+            for i, surface in zip(own, surfaces, strict=True):
+                grown[kind][i] = surface
+                eigenvalues[kind][i] = SIDES[kind] * of_kind[i].eigenvalues  # pyright: ignore[reportOptionalMemberAccess]
+    made = Surfaces(lane, place[kept], known.points[kept], number, grown, eigenvalues, size)
+    return xr.Dataset(surface_variables(options, batch, lanes, made), attrs=section_attrs(batch))
+
+
+def _table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
+    """Return the table of curves or of surfaces."""
+    return surface_table(data) if "surface_kind" in data else table(data)
 
 
 def _sides(options: ManifoldsOptions, batch: LaneBatch) -> dict[int, Side]:
@@ -201,9 +269,9 @@ ANALYSIS = Analysis(
     ManifoldsOptions,
     periods,
     run,
-    numbers=lambda options: 3 * options.saddles * 4 * options.period * options.max_points,
+    numbers=lambda options: 3 * options.saddles * 4 * options.period * options.max_points,  # of surfaces about as many
     check=check,
-    table=table,
+    table=_table,
     price=price_of_orbits,
     brief={"period": 1, "n_starts": 4, "max_points": 16, "crossings": 0},
 )

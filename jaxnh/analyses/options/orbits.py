@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -285,11 +286,19 @@ class OrbitsOptions(Options):
         return self
 
 
+_SURFACES = {"length": 4.0, "spacing": 0.1, "max_points": 16384, "crossings": 0}
+"""Defaults of surfaces, where those of curves are others."""
+
+
 class ManifoldsOptions(Options):
     """Options of `manifolds`."""
 
     newton: ClassVar[bool] = True
 
+    dimension: Literal[1, 2] = Field(
+        default=1,
+        description="Dimension: curves of saddle orbits of the return map, or surfaces of equilibria of a flow",
+    )
     period: int = Field(default=1, ge=1, le=64, description="Returns of the saddle orbits")
     n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles in each lane")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
@@ -313,9 +322,26 @@ class ManifoldsOptions(Options):
         default=None, description="Parameter along which tangencies of the manifolds are located; nothing: none are"
     )
 
+    @property
+    def in_time(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Return whether there is no return map: equilibria are those of the flow."""
+        return self.dimension == 2
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_surfaces(cls, given: Any) -> Any:
+        """Return what is given with other defaults of surfaces, which have many points."""
+        return {**_SURFACES, **given} if isinstance(given, Mapping) and given.get("dimension") == 2 else given
+
     @model_validator(mode="after")
     def _check(self) -> ManifoldsOptions:
         check_sides(self.box)
+        if self.dimension == 2:
+            for key in ("period", "tangency"):
+                if getattr(self, key) != type(self).model_fields[key].default:
+                    raise rule(f"{key} is of curves: leave it out, or take dimension: 1", key, "dimension")
+            if self.crossings:
+                raise rule("crossings are of curves: leave it out, or take dimension: 1", "crossings", "dimension")
         if self.kind != "both" and self.tangency is not None:
             raise rule("tangencies are of stable and unstable manifolds: take kind: both", "tangency", "kind")
         return self
