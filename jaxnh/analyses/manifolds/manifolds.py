@@ -41,7 +41,8 @@ from jaxnh.maps.iterate import section_map
 from jaxnh.systems.discrete_map import DiscreteMap
 
 _UNDOES = 1e-5  # sizes: how far from it an inverse map may take a point back
-_SHARE, _LEAST = 0.01, 1e-13  # of the accuracy, and in sizes: errors of a part of a surface
+_SHARE = 0.01  # of the accuracy, that the local part of a surface may leave
+_LEAST = 1e-11  # sizes: no surface is asked to be nearer to the manifold
 _REACHED = 0.1  # of a unit of time, for a size: how fast motions of surfaces are, for the expected work
 _RETURNS = 24.0  # of a point of a branch, for the expected work
 
@@ -119,11 +120,11 @@ def _check_surfaces(setting: Setting) -> None:
 
 def _run_surfaces(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Return saddle equilibria and their manifolds of dimension two."""
-    tolerance = max(_SHARE * batch.error_estimate, _LEAST)
+    tolerance = max(batch.error_estimate, _LEAST)
     kinds = [kind for kind, word in enumerate(KINDS) if options.kind in (word, "both")]
     with lanes.stage(f"manifolds: equilibria of {batch.count:,} lanes", 0):
         known, size = find_saddles(batch, lanes, options.n_starts, options.seed, options.box)
-        local = {kind: local_surfaces(batch, lanes, known, size, SIDES[kind], tolerance) for kind in kinds}
+        local = {kind: local_surfaces(batch, lanes, known, size, SIDES[kind], _SHARE * tolerance) for kind in kinds}
     two = np.array([any(of[k] is not None for of in local.values()) for k in range(len(known.lane))], bool)
     number = np.bincount(known.lane[two], minlength=batch.count)
     place = np.cumsum(two) - 1 - (np.cumsum(number) - number)[known.lane]

@@ -20,6 +20,9 @@ from jaxnh.solvers import RUNGE_KUTTA
 from jaxnh.systems.flow import Flow, Parameters
 
 _METHOD = RUNGE_KUTTA["dopri8"]
+ORDER = _METHOD.convergence_order
+"""Order of the steps."""
+
 _ROUNDING = 1e-15  # of a point, that a part of a motion leaves at most
 _BENT = 1e-2  # of the chord of a part: where half the steps leave more, motions are not followed
 

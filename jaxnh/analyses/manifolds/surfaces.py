@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneRunner, select
-from jaxnh.analyses.manifolds.motions import Front, follow_motion
+from jaxnh.analyses.manifolds.motions import ORDER, Front, follow_motion
 from jaxnh.systems.flow import Flow
 
 ENDS = ("none", "length", "max_points")
@@ -26,7 +26,6 @@ NONE, LENGTH, MAX_POINTS = range(len(ENDS))
 
 _PARTS = 32  # of a motion in a call
 _TILE = 32
-_SAMPLE = 16  # motions of a rim by which steps are chosen
 _MOST = 64  # steps of a part
 _ROUNDS = 256
 _OPEN = 2.0  # spacings: neighbours further apart have no triangle between them
@@ -108,11 +107,25 @@ class Growth(NamedTuple):
 
 
 def grow_fans(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim]) -> list[Fan]:
-    """Return the motions that begin on rims, one fan a surface."""
+    """Return the motions that begin on rims, one fan a surface, with as many steps as the tolerance needs.
+
+    Steps are as many for all surfaces; once more of them leave as large errors, which are then of rounding, they are enough.
+    """
+    steps, before = 1, np.inf
+    fans = _grown(lanes, growth, rims, steps)
+    while steps < _MOST:
+        largest = max((fan.largest_error for fan in fans), default=0.0)
+        if not growth.tolerance < largest < 0.5 * before:
+            break
+        before, more = largest, math.log2(largest / growth.tolerance) / ORDER
+        steps = min(steps * 2 ** max(1, math.ceil(more)), _MOST)
+        fans = _grown(lanes, growth, rims, steps)
+    return fans
+
+
+def _grown(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim], steps: int) -> list[Fan]:
+    """Return fans of motions with so many steps for each part."""
     fans = [Fan(rim, growth) for rim in rims]
-    if not fans:
-        return []
-    steps = _steps(lanes, growth, rims)
     wanted = [rim.first for rim in rims]
     for _ in range(_ROUNDS):
         which = np.repeat(np.arange(len(fans)), [len(places) for places in wanted])
@@ -148,21 +161,6 @@ def _follow(
     return np.concatenate(points, axis=1)[:, : parts + 1], np.concatenate(errors, axis=1)[:, : parts + 1]
 
 
-def _steps(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim]) -> int:
-    """Return how many steps a part needs, by some of the first motions of each surface, which begin without error."""
-    few = [rim.first[:: max(1, len(rim.first) // _SAMPLE)] for rim in rims]
-    which = np.repeat(np.arange(len(rims)), [len(places) for places in few])
-    front = _joined(rim.begin(places) for rim, places in zip(rims, few, strict=True))
-    front = front._replace(error=np.zeros_like(front.error))
-    parts, steps = min(_PARTS, max(rim.parts for rim in rims)), 1
-    while steps < _MOST:
-        error = _follow(lanes, growth, steps, which, front, parts)[1][:, 1:]
-        if np.isfinite(error).any() and np.nanmax(error) <= growth.tolerance:
-            break
-        steps *= 2
-    return steps
-
-
 class Fan:
     """Motions from a rim side by side.
 
@@ -187,6 +185,11 @@ class Fan:
         """Return which points are corners."""
         cut = self.parts + 1
         return np.isfinite(self.error[:, :cut]) & (np.arange(cut) >= self.born[:, None])
+
+    @property
+    def largest_error(self) -> float:
+        """Return the largest error of a corner."""
+        return float(np.max(self.error[:, : self.parts + 1], where=self.counted, initial=0.0))
 
     def insert(self, places: np.ndarray, points: np.ndarray, error: np.ndarray) -> None:
         """Add the motions that were wanted."""
