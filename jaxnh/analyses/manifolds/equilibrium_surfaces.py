@@ -95,7 +95,7 @@ class Disc(NamedTuple):
         """Return the motions that begin at places."""
         points, count = self.local.points(places), len(places)
         normal = np.repeat(self.local.across.sum(axis=1)[None], count, axis=0)
-        rounding, part = _ROUNDING * (1.0 + np.linalg.norm(points, axis=1)), np.full(count, self.spacing)
+        rounding, part = _rounding(points), np.full(count, self.spacing)
         error, followed = self.local.errors(places), np.ones(count, bool)
         return Front(points, self.local.tangents(places), error, normal, rounding, part, followed)
 
@@ -107,7 +107,8 @@ class Disc(NamedTuple):
         begun = np.linalg.norm(fan.points[:, 0] - local.centre, axis=1)
         arc = (begun[:, None] + self.spacing * np.arange(cut))[counted]
         points = np.concatenate([flat, fan.points[:, :cut][counted]])
-        error = np.concatenate([np.linalg.norm(local.errors(disc), axis=1), fan.error[:, :cut][counted]])
+        local_error = np.linalg.norm(local.errors(disc), axis=1) + _rounding(flat)
+        error = np.concatenate([local_error, fan.error[:, :cut][counted]])
         arc = np.concatenate([np.linalg.norm(flat - local.centre, axis=1), arc])
         triangles = np.array(self._disc_triangles(fan, numbers) + fan.bands(numbers), int)
         return Surface(points, error, arc, triangles, fan.end, fan.gaps)
@@ -129,6 +130,10 @@ class Disc(NamedTuple):
             chain = [outer[k % len(outer)] for k in range(at[i], at[i + 1] + 1)]
             triangles += strip(ring[i], ring[i - n + 1], chain)
         return triangles
+
+
+def _rounding(points: Float[np.ndarray, "points d"]) -> Float[np.ndarray, " points"]:
+    return _ROUNDING * (1.0 + np.linalg.norm(points, axis=1))
 
 
 def find_saddles(

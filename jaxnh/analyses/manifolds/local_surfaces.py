@@ -153,7 +153,14 @@ def _graph(
         of_value = np.einsum("pke,ki,pif->pef", slope, own, bent) - np.einsum("ei,pif->pef", other, bent)
         carried = np.einsum("pk,pkm->pm", moved, slopes)
         matrix = of_value[:, :, None] * powers[:, None, :, None] + carried[:, None, :, None] * np.eye(e)[:, None]
-        step = np.linalg.lstsq(matrix.reshape(-1, count * e), residual.ravel(), rcond=None)[0].reshape(count, e)
+        # Normal equations: their rounding is gone with the residual. Of so few unknowns they take a millisecond, of
+        # which threads of a factorisation would make up to 200 on cores that others use too.
+        matrix = matrix.reshape(-1, count * e)
+        square, right = np.einsum("pi,pj->ij", matrix, matrix), np.einsum("pi,p->i", matrix, residual.ravel())
+        try:
+            step = np.linalg.solve(square, right).reshape(count, e)
+        except np.linalg.LinAlgError:
+            return None
         coefficients = coefficients - step
         if not np.isfinite(coefficients).all():
             return None

@@ -42,7 +42,7 @@ from jaxnh.systems.discrete_map import DiscreteMap
 
 _UNDOES = 1e-5  # sizes: how far from it an inverse map may take a point back
 _SHARE = 0.01  # of the accuracy, that the local part of a surface may leave
-_LEAST = 1e-11  # sizes: no surface is asked to be nearer to the manifold
+_LEAST, _MOST = 1e-11, 1e-6  # sizes: deviations of surfaces that steps are chosen by, where none is asked for
 _REACHED = 0.1  # of a unit of time, for a size: how fast motions of surfaces are, for the expected work
 _RETURNS = 24.0  # of a point of a branch, for the expected work
 
@@ -120,7 +120,7 @@ def _check_surfaces(setting: Setting) -> None:
 
 def _run_surfaces(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Return saddle equilibria and their manifolds of dimension two."""
-    tolerance = max(batch.error_estimate, _LEAST)
+    tolerance = max(batch.target or float(np.fmin(batch.error_estimate, _MOST)), _LEAST)
     kinds = [kind for kind, word in enumerate(KINDS) if options.kind in (word, "both")]
     with lanes.stage(f"manifolds: equilibria of {batch.count:,} lanes", 0):
         known, size = find_saddles(batch, lanes, options.n_starts, options.seed, options.box)

@@ -95,7 +95,8 @@ def follow_motion(
         return rate, jax.vmap(slope)(y[1])
 
     def advanced(count: Any, field: Callable[[Any, Any], Any], y: Any) -> Any:
-        return lax.fori_loop(0, count, lambda _, y: _METHOD.rolled_stages(field, front.part / count, y), y)
+        step = front.part / jnp.asarray(count, front.part.dtype)
+        return lax.fori_loop(0, count, lambda _, y: _METHOD.rolled_stages(field, step, y), y)
 
     def part(front: Front, _: None) -> tuple[Front, tuple[Array, Array]]:
         begun = front.point, jnp.stack([front.tangent, front.error, front.normal])
