@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import new_axes
 from jaxnh.plotting.groups import lane_of, require_variables, variables_of
-from jaxnh.plotting.labels import symbol_of
+from jaxnh.plotting.labels import symbol_of, with_units
 from jaxnh.plotting.planes import name_lane
 from jaxnh.plotting.style import BLUE, LINE, VERMILION
 
@@ -62,7 +62,9 @@ def surfaces(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes
         order = np.argsort(np.concatenate(depths), kind="stable")  # what is nearer covers what is further
         face = np.concatenate(colours)[order]
         ax.add_collection(
-            PolyCollection(np.concatenate(faces)[order], facecolors=face, edgecolors=face, linewidths=0.2, rasterized=True)
+            PolyCollection(
+                np.concatenate(faces)[order], facecolors=face, edgecolors=face, linewidths=0.2, rasterized=True
+            )
         )
     ax.set_aspect("equal")
     ax.set_axis_off()
@@ -76,7 +78,9 @@ def _seen(points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     return points @ turn.T
 
 
-def _shaded(seen: Float[np.ndarray, "triangles 3 3"], colour: str, stripe: np.ndarray) -> Float[np.ndarray, "triangles 3"]:
+def _shaded(
+    seen: Float[np.ndarray, "triangles 3 3"], colour: str, stripe: np.ndarray
+) -> Float[np.ndarray, "triangles 3"]:
     """Return colours of triangles, darker where light comes from the side, and every other band a little paler."""
     normal = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
     length = np.linalg.norm(normal, axis=1)
@@ -95,7 +99,7 @@ def _draw_box(ax: Axes, shown: list[xr.DataArray], low: np.ndarray, high: np.nda
                 ax.plot(line[:, 0], line[:, 1], color=LINE, linewidth=0.5, zorder=0)
     edges = ([[-1, -1, -1], [1, -1, -1]], [[1, -1, -1], [1, 1, -1]], [[-1, -1, -1], [-1, -1, 1]])
     for i, (variable, edge) in enumerate(zip(shown, edges, strict=True)):
-        name = symbol_of(str(variable.name).removesuffix("_points"))
+        name = with_units(symbol_of(str(variable.name).removesuffix("_points")), variable)
         middle = _seen(np.array(edge, float)).mean(axis=0)[:2]
         shift, where = ((-3.0, 0.0), ("right", "center")) if i == 2 else ((0.0, -3.0), ("center", "top"))
         ax.annotate(

@@ -40,7 +40,12 @@ def corners(data):
     known = np.isfinite(data["deviation"].to_numpy())
     points = np.stack([data[f"{name}_points"].to_numpy()[known] for name in "xyz"], axis=1)
     triangles = data["triangles"].to_numpy()
-    return points, triangles[triangles[:, 0] >= 0], data["deviation"].to_numpy()[known], data["arc_length"].to_numpy()[known]
+    return (
+        points,
+        triangles[triangles[:, 0] >= 0],
+        data["deviation"].to_numpy()[known],
+        data["arc_length"].to_numpy()[known],
+    )
 
 
 def edges_of(triangles):
@@ -65,9 +70,7 @@ def surfaces_of(lanes, kind, length, **p):
     flow = first_order(leaving, {"b": 1.0, "w": 0.0, "n": 0.0, "c": 2.0, "s": 1.0}, ("b", "w", "n", "s"))
     count = len(p["b"])
     batch = LaneBatch(flow, broadcast_start(Point((0.1, 0.1, 0.1)), count), p, dopri8, 64, False, 1e-9)
-    options = jaxnh.Manifolds(
-        dimension=2, kind=kind, box=BOX, n_starts=4, length=length, spacing=0.1, max_points=4096
-    )
+    options = jaxnh.Manifolds(dimension=2, kind=kind, box=BOX, n_starts=4, length=length, spacing=0.1, max_points=4096)
     return manifolds.run(options, batch, lanes).isel(saddle=0, surface=0)
 
 
@@ -113,3 +116,130 @@ def test_as_many_points_as_there_may_be(lanes):
     assert 2048 < len(points) <= 4096
     rim = is_a_disc(points, triangles)
     assert np.ptp(arc[rim]) < 0.5  # the boundary of the local manifold is no circle
+
+
+def test_what_does_not_go():
+    """Systems without such surfaces, and options of curves."""
+
+    def henon(a=1.4):
+        return {"map": lambda s: (1.0 - a * s[0] ** 2 + s[1], 0.3 * s[0]), "coordinates": ("x", "y")}
+
+    def driven(F=0.1):
+        def rhs(y, t):
+            return y[1], y[0] - y[0] ** 3 + F * jnp.cos(t)
+
+        return {"rhs": rhs, "coordinates": ("x", "y"), "period": 2 * jnp.pi}
+
+    def plane(F=0.1):
+        return {"rhs": lambda y, t: (y[1], F * y[0]), "coordinates": ("x", "y")}
+
+    box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
+    options = jaxnh.Manifolds(dimension=2, box=box)
+    for system, axis, words in (
+        (henon, "a", "surfaces are of flows, and this is a map"),
+        (driven, "F", "surfaces are of equilibria, which a flow with a clock has not"),
+        (plane, "F", "a surface is all there is of a flow with two coordinates"),
+    ):
+        with pytest.raises(InputError, match=words):
+            jaxnh.Session(system, start={"x": 0.1, "y": 0.1}).run(options, **{axis: [1.0]})
+    for key, value in (("tangency", "a"), ("period", 2), ("crossings", 4)):
+        with pytest.raises(InputError, match=f"{key} (is|are) of curves|crossings are of curves"):
+            jaxnh.Manifolds(dimension=2, box=box, **{key: value})
+
+
+# ---- Lorenz's manifold
+
+
+SPAN = np.linspace(0.0, 3.0, 601)
+
+
+def heyoka_lorenz(rho):
+    x, y, z = hy.make_vars("x", "y", "z")
+    field = [(x, 10.0 * (y - x)), (y, rho * x - y - x * z), (z, x * y - 8.0 / 3.0 * z)]
+    integrator = hy.taylor_adaptive(field, [0.0, 0.0, 0.0], tol=1e-16)
+
+    def motion(u, times=SPAN):
+        integrator.time = 0.0
+        integrator.state[:] = u
+        return integrator.propagate_grid(times)[-1]
+
+    return motion
+
+
+def lorenz_surface(rho, length, spacing, most):
+    options = jaxnh.Manifolds(
+        dimension=2,
+        kind="stable",
+        box={"x": (-20.0, 20.0), "y": (-20.0, 20.0), "z": (-20.0, 20.0)},
+        n_starts=4,
+        length=length,
+        spacing=spacing,
+        max_points=most,
+    )
+    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-9)
+    return session.run(options, rho=rho).isel(saddle=0, surface=0)
+
+
+def normals(points, triangles):
+    """Unit normals at corners, by the planes of their triangles, of either sign."""
+    across = np.cross(
+        points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
+    )
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    sums = np.zeros((len(points), 3, 3))
+    for k in range(3):
+        np.add.at(sums, triangles[:, k], across[:, :, None] * across[:, None])
+    return np.linalg.eigh(sums)[1][:, :, 2]
+
+
+def leaves_to(motion):
+    """On which side of the manifold a motion passes the origin: the sign of x as it leaves, 0 of one that does not come."""
+    distance = np.linalg.norm(motion, axis=1)
+    nearest = np.argmin(distance)
+    out = np.flatnonzero(np.abs(motion[nearest:, 0]) > np.abs(motion[nearest, 0]) + 1.0)
+    return np.sign(motion[nearest + out[0], 0]) if len(out) and distance[nearest] < 10.0 else 0.0
+
+
+@pytest.mark.slow
+def test_lorenz_manifold_is_within_its_deviations():
+    """Of 200 corners out to five sizes: motions from both ends of the bar, by heyoka at 1e-16, leave to different sides.
+
+    A value between them is on the manifold, and a deviation covers it; how many do is the coverage, 95 in 100 at least.
+    """
+    data = lorenz_surface([28.0], 5.0, 0.1, 32768).isel(rho=0)
+    points, triangles, deviation, arc = corners(data)
+    is_a_disc(points, triangles)
+    assert jaxnh.labels(data["end"]).item() == "length"
+    assert arc.max() > 5.0
+    assert deviation.max() < 1e-9
+    across, motion = 20.0 * deviation[:, None] * normals(points, triangles), heyoka_lorenz(28.0)
+    chosen = np.random.default_rng(0).choice(len(points), 200, replace=False)
+    sides = np.array([[leaves_to(motion(points[k] + sign * across[k])) for sign in (-1.0, 1.0)] for k in chosen])
+    assert np.mean(sides[:, 0] * sides[:, 1] < 0.0) >= 0.95
+
+
+@pytest.mark.slow
+def test_the_homoclinic_orbit_is_on_lorenz_manifold():
+    """The unstable manifold passes through the stable one at the published ρ = 13.926557.
+
+    Its distance from a cubic graph through the corners near by, which are a twentieth of the loop apart: to the fourth
+    power 1e-5, beside changes with ρ of order one, between lanes of both signs 0.01 apart, linear to 1e-4.
+    """
+    rho, gaps = np.array([13.92, 13.93]), []
+    data = lorenz_surface(rho, 2.5, 0.05, 32768)
+    for k, value in enumerate(rho):
+        points, triangles, _, _ = corners(data.isel(rho=k))
+        way = np.array(
+            [1.0, 1.0 + (np.sqrt(81.0 + 40.0 * value) - 11.0) / 20.0, 0.0]
+        )  # (λ + σ)/σ of the unstable vector
+        end = heyoka_lorenz(value)(1e-6 * way, np.array([0.0, 3.0]))[-1]  # on its way back
+        near = np.argsort(np.linalg.norm(points - end, axis=1))[:40]
+        normal = normals(points, triangles)[near[0]]
+        normal *= np.sign(normal[0])
+        basis = np.linalg.svd(normal[None])[2][1:]
+        u, v = (points[near] - end) @ basis.T[:, 0], (points[near] - end) @ basis.T[:, 1]
+        terms = np.stack([u**i * v**j for i in range(4) for j in range(4 - i)], axis=1)
+        gaps.append(np.linalg.lstsq(terms, (points[near] - end) @ normal, rcond=None)[0][0])
+    root = rho[0] - gaps[0] * (rho[1] - rho[0]) / (gaps[1] - gaps[0])
+    assert gaps[0] * gaps[1] < 0.0
+    assert root == pytest.approx(13.926557, abs=1e-4)

@@ -186,9 +186,7 @@ def local_surfaces(
     return local
 
 
-def grow_surfaces(
-    lanes: LaneRunner, growth: Growth, local: Sequence[LocalSurface], length: float
-) -> list[Surface]:
+def grow_surfaces(lanes: LaneRunner, growth: Growth, local: Sequence[LocalSurface], length: float) -> list[Surface]:
     """Return the surfaces that local ones are part of, up to an arc length of motions."""
     discs = [Disc(each, length, growth.spacing) for each in local]
     return [disc.surface(fan) for disc, fan in zip(discs, grow_fans(lanes, growth, discs), strict=True)]

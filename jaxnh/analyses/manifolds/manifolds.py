@@ -110,7 +110,9 @@ def _check_surfaces(setting: Setting) -> None:
     if not flow.continuous:
         raise OptionError("surfaces are of flows, and this is a map; take dimension: 1", "dimension")
     if not setting.autonomous:
-        message = "surfaces are of equilibria, which a flow with a clock has not; take dimension: 1 for those of its map"
+        message = (
+            "surfaces are of equilibria, which a flow with a clock has not; take dimension: 1 for those of its map"
+        )
         raise OptionError(message, "dimension")
     if why := no_collocation(flow):
         raise OptionError(f"surfaces are not grown: {why}", "dimension")

@@ -50,8 +50,8 @@ def surface_variables(
     triangles = np.full((*shape, 2 * options.max_points, 3), -1, np.int32)
     end, gaps = np.zeros(shape, np.int8), np.zeros(shape, np.int32)
     eigenvalues = np.full((*shape, 2, 2), np.nan)
-    saddles = np.full((*shape[:2], d), np.nan)
-    saddles[made.lane, made.place] = made.points
+    saddles = np.full((*shape[:2], 1, d), np.nan)
+    saddles[made.lane, made.place, 0] = made.points
     for k, kind in enumerate(kinds):
         of_kind = made.eigenvalues[kind]
         eigenvalues[made.lane, made.place, k] = np.stack([of_kind.real, of_kind.imag], axis=-1)
@@ -69,7 +69,7 @@ def surface_variables(
     return {
         "surface_kind": flag((LANE, "surface"), repeated, "kind of manifold that the surface is of", KINDS),
         "saddles": variable(LANE, made.number.astype(np.int32), "number of saddles known, kept or not"),
-        **named_points(batch, lanes, saddles, (LANE, "saddle"), "_saddle", "of the saddle"),
+        **named_points(batch, lanes, saddles, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
         "eigenvalues": variable(
             (*dims, "eigenvalue", "part"),
             eigenvalues,

@@ -211,7 +211,9 @@ class Fan:
         apart = np.flatnonzero(wide.any(axis=1))
         between = self._rim.between(self.places[one[apart]], self.places[other[apart]])
         begun = np.asarray(self._rim.begin(between).point) if len(apart) else np.zeros((0, self.points.shape[2]))
-        new = np.any(begun != self.points[one[apart], 0], axis=1) & np.any(begun != self.points[other[apart], 0], axis=1)
+        new = np.any(begun != self.points[one[apart], 0], axis=1) & np.any(
+            begun != self.points[other[apart], 0], axis=1
+        )
         self.gaps, apart = int(np.sum(~new)), apart[new]
         self._next = apart + 1, np.maximum(np.argmax(wide[apart], axis=1) - 1, since[apart])
         return between[new]
