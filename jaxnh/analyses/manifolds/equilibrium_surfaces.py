@@ -12,14 +12,13 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.equilibria.search import equilibria_from_starts, field_and_slopes
 from jaxnh.analyses.manifolds.local_surfaces import FieldValues, LocalSurface, fit_local_surface
-from jaxnh.analyses.manifolds.motions import Front
+from jaxnh.analyses.manifolds.motions import ROUNDING, Front
 from jaxnh.analyses.manifolds.saddles import extent, parameters_of
 from jaxnh.analyses.manifolds.surfaces import Fan, Growth, Surface, grow_fans, strip
 from jaxnh.analyses.random_starts import Box, random_start_batch
 
 _LEAST = 16  # motions
 _SAME = 1e-6  # sizes: equilibria nearer to each other are one
-_ROUNDING = 1e-15
 
 
 class SaddleEquilibria(NamedTuple):
@@ -133,22 +132,28 @@ class Disc(NamedTuple):
 
 
 def _rounding(points: Float[np.ndarray, "points d"]) -> Float[np.ndarray, " points"]:
-    return _ROUNDING * (1.0 + np.linalg.norm(points, axis=1))
+    return ROUNDING * (1.0 + np.linalg.norm(points, axis=1))
+
+
+def box_size(batch: LaneBatch, box: Box) -> Float[np.ndarray, "lanes d"]:
+    """Return half the sides of a box in each coordinate; of those that it leaves out their modulus, of angles one."""
+    ends = ({name: (side[k], side[k]) for name, side in box.items()} for k in (0, 1))
+    corners = [random_start_batch(batch, 1, 0, end)[0].start for end in ends]
+    return extent(batch, np.stack([batch.chart.host_points(corner) for corner in corners], axis=1))[0]
 
 
 def find_saddles(
-    batch: LaneBatch, lanes: LaneRunner, starts: int, seed: int, box: Box
-) -> tuple[SaddleEquilibria, Float[np.ndarray, "lanes d"]]:
-    """Return all equilibria that Newton finds from the middle of a box and from random starts in it, and the sizes.
+    batch: LaneBatch, lanes: LaneRunner, starts: int, seed: int, box: Box, size: Float[np.ndarray, "lanes d"]
+) -> SaddleEquilibria:
+    """Return all equilibria that Newton finds from the middle of a box and from random starts in it.
 
-    Those nearest to the middle come first. Sizes are half the extent of the starts in each coordinate, of angles one.
+    Those nearest to the middle, in sizes, come first.
     """
     at_middle = {name: (0.5 * (low + high), 0.5 * (low + high)) for name, (low, high) in box.items()}
     chart = batch.chart
     middle = chart.host_points(random_start_batch(batch, 1, seed, at_middle)[0].start)
     many, _ = random_start_batch(batch, starts, seed, box)
     first = chart.host_points(many.start).reshape(batch.count, starts, -1)
-    size, _ = extent(batch, first)
     starts_of_lanes = np.concatenate([middle[:, None], first], axis=1)
     lane = np.repeat(np.arange(batch.count), starts + 1)
     every = batch.take(lane)
@@ -160,7 +165,7 @@ def find_saddles(
         apart = np.abs(chart.wrap(zeros.u[i] - zeros.u[of_lane])) / size[lane[i]]
         if zeros.exists[i] and np.all(apart.max(axis=1, initial=0.0) > _SAME):
             kept.append(i)
-    return SaddleEquilibria(lane[kept], zeros.u[kept]), size
+    return SaddleEquilibria(lane[kept], zeros.u[kept])
 
 
 def local_surfaces(
@@ -186,7 +191,9 @@ def local_surfaces(
     return local
 
 
-def grow_surfaces(lanes: LaneRunner, growth: Growth, local: Sequence[LocalSurface], length: float) -> list[Surface]:
+def grow_surfaces_of_equilibria(
+    lanes: LaneRunner, growth: Growth, local: Sequence[LocalSurface], length: float
+) -> list[Surface]:
     """Return the surfaces that local ones are part of, up to an arc length of motions."""
     discs = [Disc(each, length, growth.spacing) for each in local]
     return [disc.surface(fan) for disc, fan in zip(discs, grow_fans(lanes, growth, discs), strict=True)]

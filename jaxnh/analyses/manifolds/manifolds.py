@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting, Table, check_names
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.branches import SIDES, BranchSet, Side, grow_branches, has_branches, side_of
+from jaxnh.analyses.manifolds.branches import BranchSet, Side, find_saddle_orbits, grow_branches, sides_of
 from jaxnh.analyses.manifolds.crossings import (
     Crossings,
     Meetings,
@@ -26,23 +26,16 @@ from jaxnh.analyses.manifolds.crossings import (
     take,
 )
 from jaxnh.analyses.manifolds.curves import ManifoldBranch
-from jaxnh.analyses.manifolds.equilibrium_surfaces import find_saddles, grow_surfaces, local_surfaces
-from jaxnh.analyses.manifolds.saddles import Saddles, find_germs, find_orbits, parameters_of, take_orbits
-from jaxnh.analyses.manifolds.surface_tables import Surfaces, surface_table, surface_variables
-from jaxnh.analyses.manifolds.surfaces import Growth, Surface
-from jaxnh.analyses.manifolds.tables import KINDS, OWN_NAMES, Manifolds, table, variables
+from jaxnh.analyses.manifolds.saddles import Saddles
+from jaxnh.analyses.manifolds.surface_runs import check_surfaces, run_surfaces
+from jaxnh.analyses.manifolds.surface_tables import surface_table
+from jaxnh.analyses.manifolds.tables import OWN_NAMES, Manifolds, table, variables
 from jaxnh.analyses.manifolds.tangencies import Tangencies, locate_tangencies, near_tangencies, nearest_tangencies
 from jaxnh.analyses.options.orbits import ManifoldsOptions
-from jaxnh.analyses.periodic.flow_cycles import no_collocation
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.analyses.trajectories.states import section_attrs
-from jaxnh.maps.iterate import section_map
-from jaxnh.systems.discrete_map import DiscreteMap
 
-_UNDOES = 1e-5  # sizes: how far from it an inverse map may take a point back
-_SHARE = 0.01  # of the accuracy, that the local part of a surface may leave
-_LEAST, _MOST = 1e-11, 1e-6  # sizes: deviations of surfaces that steps are chosen by, where none is asked for
 _REACHED = 0.1  # of a unit of time, for a size: how fast motions of surfaces are, for the expected work
 _RETURNS = 24.0  # of a point of a branch, for the expected work
 
@@ -59,7 +52,7 @@ def check(options: ManifoldsOptions, setting: Setting) -> None:
     """Check the box, names, and that there are curves to grow and a parameter to move, or surfaces."""
     flow = setting.flow
     if options.dimension == 2:
-        _check_surfaces(setting)
+        check_surfaces(options, setting)
     if flow.exponents - int(setting.autonomous) < 2:
         raise OptionError("manifolds are curves among other directions of the map, and it has one alone")
     if not options.box:
@@ -75,19 +68,10 @@ def check(options: ManifoldsOptions, setting: Setting) -> None:
 def run(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Return saddles, branches, crossings and tangencies of all lanes, or surfaces."""
     if options.dimension == 2:
-        return _run_surfaces(options, batch.without_section(), lanes)
-    sides = _sides(options, batch)
+        return run_surfaces(options, batch, lanes)
+    sides = sides_of(options, batch)
     with lanes.stage(f"manifolds: saddles of {batch.count:,} lanes", 0):
-        orbits, size = find_orbits(batch, lanes, options.period, options.n_starts, options.seed, options.box)
-        p, scale = parameters_of(batch, orbits.lane), size[orbits.lane]
-        kept = np.zeros(len(orbits.lane), bool)
-        for side in sides.values():
-            germs = find_germs(batch, lanes, side.maps[0], p, orbits.points, scale, side.backward)
-            kept |= has_branches(germs, options.period)
-        if 1 in sides:
-            _check_inverse(batch, lanes, sides[1], orbits, size)
-    saddles = take_orbits(orbits, kept, options.saddles)
-    number = np.bincount(orbits.lane[kept], minlength=batch.count)
+        saddles, number, size = find_saddle_orbits(options, batch, lanes, sides)
     with lanes.stage(f"manifolds: {len(saddles.lane):,} saddles", periods(options, batch.count)):
         grown = {
             kind: grow_branches(batch, lanes, side, saddles, size, options.length, options.spacing, options.max_points)
@@ -104,87 +88,9 @@ def run(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Da
     return xr.Dataset(variables(options, batch, lanes, made), attrs=section_attrs(batch))
 
 
-def _check_surfaces(setting: Setting) -> None:
-    """Check that the system is a smooth flow without a clock, with directions beside two."""
-    flow = setting.flow
-    if not flow.continuous:
-        raise OptionError("surfaces are of flows, and this is a map; take dimension: 1", "dimension")
-    if not setting.autonomous:
-        message = (
-            "surfaces are of equilibria, which a flow with a clock has not; take dimension: 1 for those of its map"
-        )
-        raise OptionError(message, "dimension")
-    if why := no_collocation(flow):
-        raise OptionError(f"surfaces are not grown: {why}", "dimension")
-    if flow.chart.dimension < 3:
-        raise OptionError("a surface is all there is of a flow with two coordinates", "dimension")
-
-
-def _run_surfaces(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Return saddle equilibria and their manifolds of dimension two."""
-    tolerance = max(batch.target or float(np.fmin(batch.error_estimate, _MOST)), _LEAST)
-    kinds = [kind for kind, word in enumerate(KINDS) if options.kind in (word, "both")]
-    with lanes.stage(f"manifolds: equilibria of {batch.count:,} lanes", 0):
-        known, size = find_saddles(batch, lanes, options.n_starts, options.seed, options.box)
-        local = {kind: local_surfaces(batch, lanes, known, size, SIDES[kind], _SHARE * tolerance) for kind in kinds}
-    two = np.array([any(of[k] is not None for of in local.values()) for k in range(len(known.lane))], bool)
-    number = np.bincount(known.lane[two], minlength=batch.count)
-    place = np.cumsum(two) - 1 - (np.cumsum(number) - number)[known.lane]
-    kept = np.flatnonzero(two & (place < options.saddles))
-    lane = known.lane[kept]
-    grown, eigenvalues = dict[int, list[Surface | None]](), dict[int, np.ndarray]()
-    with lanes.stage(f"manifolds: surfaces of {len(kept):,} saddles", periods(options, batch.count)):
-        for kind in kinds:
-            of_kind = [local[kind][k] for k in kept]
-            own = [i for i, each in enumerate(of_kind) if each is not None]
-            growth = Growth(
-                batch.flow,
-                size[lane[own]],
-                parameters_of(batch, lane[own]),
-                SIDES[kind],
-                options.spacing,
-                options.max_points,
-                tolerance,
-            )
-            surfaces = grow_surfaces(lanes, growth, [each for each in of_kind if each is not None], options.length)
-            grown[kind], eigenvalues[kind] = [None] * len(kept), np.full((len(kept), 2), np.nan + 0j)
-            for i, surface in zip(own, surfaces, strict=True):
-                grown[kind][i] = surface
-                eigenvalues[kind][i] = SIDES[kind] * of_kind[i].eigenvalues  # pyright: ignore[reportOptionalMemberAccess]
-    made = Surfaces(lane, place[kept], known.points[kept], number, grown, eigenvalues, size)
-    return xr.Dataset(surface_variables(options, batch, lanes, made), attrs=section_attrs(batch))
-
-
 def _table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     """Return the table of curves or of surfaces."""
     return surface_table(data) if "surface_kind" in data else table(data)
-
-
-def _sides(options: ManifoldsOptions, batch: LaneBatch) -> dict[int, Side]:
-    """Return the maps of the kinds that are asked for."""
-    sides = dict[int, Side]()
-    if options.kind != "stable":
-        sides[0] = side_of(batch.strobe, backward=False)
-    if options.kind != "unstable":
-        try:
-            sides[1] = side_of(batch.inverse, backward=True)
-        except TypeError as error:
-            raise OptionError(f"{error}; stable manifolds need that: take kind: unstable", "kind") from None
-    return sides
-
-
-def _check_inverse(
-    batch: LaneBatch, lanes: LaneRunner, side: Side, orbits: Saddles, size: Float[np.ndarray, "lanes d"]
-) -> None:
-    """Check that an inverse that a map says takes points of its orbits back."""
-    if not isinstance(batch.system, DiscreteMap) or not len(orbits.lane):
-        return
-    last = orbits.points[:, -1]
-    back = np.asarray(
-        lanes(section_map, (side.maps[0], np.int32(1)), (orbits.points[:, 0], parameters_of(batch, orbits.lane)))
-    )
-    if not np.max(np.abs(batch.chart.wrap(back - last)) / size[orbits.lane]) < _UNDOES:
-        raise OptionError("the map gives no inverse of itself: it does not take a point of an orbit back", "kind")
 
 
 def _of_lane(grown: BranchSet, saddles: Saddles, lane: int) -> list[tuple[int, ManifoldBranch]]:

@@ -23,7 +23,9 @@ _METHOD = RUNGE_KUTTA["dopri8"]
 ORDER = _METHOD.convergence_order
 """Order of the steps."""
 
-_ROUNDING = 1e-15  # of a point, that a part of a motion leaves at most
+ROUNDING = 1e-15
+"""Share of a point that a part of a motion leaves at most."""
+
 _BENT = 1e-2  # of the chord of a part: where half the steps leave more, motions are not followed
 
 
@@ -105,7 +107,7 @@ def follow_motion(
         left = coarse - z
         tangent, error, normal = _frame(along(z), tangent, error + left, normal)
         grown = jnp.linalg.norm(normal)
-        rounding = grown * front.rounding + _ROUNDING * (1.0 + jnp.linalg.norm(z))
+        rounding = grown * front.rounding + ROUNDING * (1.0 + jnp.linalg.norm(z))
         followed = front.followed & (jnp.linalg.norm(left) < _BENT * jnp.linalg.norm(z - front.point))
         shown = z, jnp.linalg.norm(error) + rounding
         after = Front(z, tangent, error, normal / grown, rounding, front.part, followed)

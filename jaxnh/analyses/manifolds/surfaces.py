@@ -109,7 +109,7 @@ class Growth(NamedTuple):
 def grow_fans(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim]) -> list[Fan]:
     """Return the motions that begin on rims, one fan a surface, with as many steps as the tolerance needs.
 
-    Steps are as many for all surfaces; once more of them leave as large errors, which are then of rounding, they are enough.
+    Steps are as many for all surfaces. Where more of them leave as large errors, these are of rounding.
     """
     steps, before = 1, np.inf
     fans = _grown(lanes, growth, rims, steps)
@@ -131,8 +131,8 @@ def _grown(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim], steps: int) -
         which = np.repeat(np.arange(len(fans)), [len(places) for places in wanted])
         if not len(which):
             break
-        front = _joined(rim.begin(places) for rim, places in zip(rims, wanted, strict=True) if len(places))
-        points, error = _follow(lanes, growth, steps, which, front, max(fan.parts for fan in fans))
+        front = joined(rim.begin(places) for rim, places in zip(rims, wanted, strict=True) if len(places))
+        points, error = follow(lanes, growth, steps, which, front, max(fan.parts for fan in fans))
         for number, fan in enumerate(fans):
             own = which == number
             if own.any():
@@ -141,11 +141,12 @@ def _grown(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim], steps: int) -
     return fans
 
 
-def _joined(fronts: Iterable[Front]) -> Front:
+def joined(fronts: Iterable[Front]) -> Front:
+    """Return motions of several rims together."""
     return Front(*(np.concatenate(leaves) for leaves in zip(*fronts, strict=True)))
 
 
-def _follow(
+def follow(
     lanes: LaneRunner, growth: Growth, steps: int, which: Int[np.ndarray, " motions"], front: Front, parts: int
 ) -> tuple[Float[np.ndarray, "motions parts+1 d"], Float[np.ndarray, "motions parts+1"]]:
     """Return the points of motions of surfaces, the first included, and their errors."""

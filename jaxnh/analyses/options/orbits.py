@@ -299,6 +299,10 @@ class ManifoldsOptions(Options):
         default=1,
         description="Dimension: curves of saddle orbits of the return map, or surfaces of equilibria of a flow",
     )
+    of: Literal["equilibria", "cycles"] = Field(
+        default="equilibria",
+        description="Saddles that surfaces are of; cycles are those of the map of a section",
+    )
     period: int = Field(default=1, ge=1, le=64, description="Returns of the saddle orbits")
     n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles in each lane")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
@@ -325,7 +329,7 @@ class ManifoldsOptions(Options):
     @property
     def in_time(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Return whether there is no return map: equilibria are those of the flow."""
-        return self.dimension == 2
+        return self.dimension == 2 and self.of == "equilibria"
 
     @model_validator(mode="before")
     @classmethod
@@ -336,12 +340,14 @@ class ManifoldsOptions(Options):
     @model_validator(mode="after")
     def _check(self) -> ManifoldsOptions:
         check_sides(self.box)
+        if self.dimension == 1 and self.of == "cycles":
+            raise rule("curves are of orbits of the return map anyway: leave it out, or take dimension: 2", "of")
         if self.dimension == 2:
-            for key in ("period", "tangency"):
-                if getattr(self, key) != type(self).model_fields[key].default:
-                    raise rule(f"{key} is of curves: leave it out, or take dimension: 1", key, "dimension")
-            if self.crossings:
-                raise rule("crossings are of curves: leave it out, or take dimension: 1", "crossings", "dimension")
+            if self.crossings or self.tangency is not None:
+                message = "crossings and tangencies are of curves: leave it out, or take dimension: 1"
+                raise rule(message, "tangency" if self.tangency is not None else "crossings", "dimension")
+            if self.of == "equilibria" and self.period != 1:
+                raise rule("equilibria have no period: leave it out, or take of: cycles", "period", "of")
         if self.kind != "both" and self.tangency is not None:
             raise rule("tangencies are of stable and unstable manifolds: take kind: both", "tangency", "kind")
         return self
