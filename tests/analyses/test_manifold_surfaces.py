@@ -137,14 +137,110 @@ def test_what_does_not_go():
     options = jaxnh.Manifolds(dimension=2, box=box)
     for system, axis, words in (
         (henon, "a", "surfaces are of flows, and this is a map"),
-        (driven, "F", "surfaces are of equilibria, which a flow with a clock has not"),
+        (driven, "F", "surfaces are of a flow without a clock"),
         (plane, "F", "a surface is all there is of a flow with two coordinates"),
     ):
         with pytest.raises(InputError, match=words):
             jaxnh.Session(system, start={"x": 0.1, "y": 0.1}).run(options, **{axis: [1.0]})
-    for key, value in (("tangency", "a"), ("period", 2), ("crossings", 4)):
-        with pytest.raises(InputError, match=f"{key} (is|are) of curves|crossings are of curves"):
-            jaxnh.Manifolds(dimension=2, box=box, **{key: value})
+    for given, words in (
+        ({"tangency": "a"}, "crossings and tangencies are of curves"),
+        ({"crossings": 4}, "crossings and tangencies are of curves"),
+        ({"period": 2}, "equilibria have no period"),
+        ({"dimension": 1, "of": "cycles"}, "curves are of orbits of the return map anyway"),
+    ):
+        with pytest.raises(InputError, match=words):
+            jaxnh.Manifolds(**{"dimension": 2, "box": box} | given)
+
+
+# ---- saddle cycles
+
+
+def wound(x, y, z):
+    """A surface r = 1 + p(z, θ) through the unit circle, and its slopes in z and along the circle."""
+    r = jnp.hypot(x, y)
+    cos, sin = x / r, y / r
+    return r - 1.0 - 0.3 * z**2 - 0.2 * z * cos, 0.6 * z + 0.2 * cos, -0.2 * z * sin
+
+
+def ring(a=0.1, s=1.0):
+    """θ' = 1, z' = a z, times s, and what r is off the surface shrinks as e^(−s t)."""
+
+    def rhs(u, t):
+        x, y, z = u
+        r = jnp.hypot(x, y)
+        off, by_z, by_angle = wound(x, y, z)
+        dr = -off + by_z * a * z + by_angle
+        return s * (dr * x / r - y), s * (dr * y / r + x), s * a * z
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z"), "time_unit": 2 * jnp.pi}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["unstable", "stable"])
+def test_surfaces_of_a_cycle_in_closed_form(kind):
+    """Both kinds, at two multipliers; all corners are within their deviations, and the surface goes around."""
+    s, middle = (1.0, 1.0) if kind == "unstable" else (-1.0, -1.0)
+    options = jaxnh.Manifolds(
+        dimension=2,
+        of="cycles",
+        kind=kind,
+        box={"x": (middle - 1.0, middle + 1.0), "y": (-1.0, 1.0), "z": (-1.0, 1.0)},
+        n_starts=4,
+        length=1.0,
+        max_points=8192,
+    )
+    session = jaxnh.Session(ring, start={"x": 1.1 * middle, "y": 0.0, "z": 0.0}, target=1e-9, parameters={"s": s})
+    data = session.on(coordinate="y", value=0.0, direction="up").run(options, a=[0.1, 0.3])
+    for a in (0, 1):
+        lane = data.isel(a=a, saddle=0, surface=0)
+        assert float(lane["multiplier"]) == pytest.approx(np.exp(2 * np.pi * s * float(lane["a"])), rel=1e-7)
+        points, triangles, deviation, _ = corners(lane)
+        off, by_z, by_angle = (np.asarray(leaf) for leaf in wound(*points.T))
+        r = np.hypot(points[:, 0], points[:, 1])
+        assert np.all(np.abs(off) / np.sqrt(1.0 + by_z**2 + (by_angle / r) ** 2) <= deviation)
+        assert deviation.max() < 1e-7
+        assert jaxnh.labels(lane["end"]).item() == "length"
+        # Each motion is a turn, on either side of the cycle, to the end of the curve, which is a size long.
+        assert np.abs(np.arctan2(points[:, 1], points[:, 0])).max() > 3.0
+        assert min(points[:, 2].max(), -points[:, 2].min()) > 0.8
+        lengths = np.linalg.norm(np.diff(points[edges_of(triangles)[0]], axis=1)[:, 0], axis=1)
+        assert lengths.max() < 0.2 * np.sqrt(2.0)
+
+
+def turning_over(a=0.1):
+    """About the unit circle ξ' = a ξ and η' = −η, in a plane of (r − 1, z) that makes half a turn on the way."""
+
+    def rhs(u, t):
+        x, y, z = u
+        r = jnp.hypot(x, y)
+        rho, cc, ss, cs = r - 1.0, 0.5 + 0.5 * x / r, 0.5 - 0.5 * x / r, 0.5 * y / r
+        of_rho = a * (cc * rho + cs * z) - ss * rho + cs * z - z / 2
+        of_z = a * (cs * rho + ss * z) + cs * rho - cc * z + rho / 2
+        return of_rho * x / r - y, of_rho * y / r + x, of_z
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z"), "time_unit": 2 * jnp.pi}
+
+
+@pytest.mark.slow
+def test_a_surface_that_turns_over():
+    """A cycle of a negative multiplier: its manifold is the Möbius strip η = 0."""
+    options = jaxnh.Manifolds(
+        dimension=2,
+        of="cycles",
+        kind="unstable",
+        box={"x": (0.5, 1.5), "y": (-0.5, 0.5), "z": (-0.5, 0.5)},
+        n_starts=4,
+        length=0.5,
+        spacing=0.05,
+    )
+    session = jaxnh.Session(turning_over, start={"x": 1.0, "y": 0.0, "z": 0.0}, target=1e-9)
+    session = session.on(coordinate="y", value=0.0, direction="up")
+    data = session.run(options, a=[0.1]).isel(a=0, saddle=0, surface=0)
+    assert float(data["multiplier"]) == pytest.approx(-np.exp(0.2 * np.pi), rel=1e-7)
+    (x, y, z), _, deviation, _ = (leaf.T for leaf in corners(data))
+    half = 0.5 * np.arctan2(y, x)
+    assert np.all(np.abs(np.cos(half) * z - np.sin(half) * (np.hypot(x, y) - 1.0)) <= deviation)
+    assert deviation.max() < 1e-7
 
 
 # ---- Lorenz's manifold
