@@ -53,7 +53,7 @@ def surfaces(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes
     for s, k in np.ndindex(*corners.shape[:2]):
         own = corners[s, k][corners[s, k][:, 0] >= 0]
         if len(own):
-            seen = _seen((points[s, k] - middle) / half)[own]
+            seen = _project((points[s, k] - middle) / half)[own]
             stripe = np.floor(_BANDS * arc[s, k][own].mean(axis=1) / np.nanmax(arc[s, k])) % 2
             faces.append(seen[:, :, :2])
             colours.append(_shaded(seen, _COLOURS[int(kinds.to_numpy().ravel()[k])], stripe))
@@ -63,7 +63,7 @@ def surfaces(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes
         face = np.concatenate(colours)[order]
         ax.add_collection(
             PolyCollection(
-                np.concatenate(faces)[order], facecolors=face, edgecolors=face, linewidths=0.2, rasterized=True
+                list(np.concatenate(faces)[order]), facecolors=face, edgecolors=face, linewidths=0.2, rasterized=True
             )
         )
     ax.set_aspect("equal")
@@ -71,7 +71,7 @@ def surfaces(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes
     return name_lane(data, lane, ax)
 
 
-def _seen(points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+def _project(points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     """Return points to the right, up and towards the eye."""
     sin, cos, up, level = np.sin(_AZIMUTH), np.cos(_AZIMUTH), np.sin(_ELEVATION), np.cos(_ELEVATION)
     turn = np.array([[-sin, cos, 0.0], [-up * cos, -up * sin, level], [level * cos, level * sin, up]])
@@ -95,12 +95,12 @@ def _draw_box(ax: Axes, shown: list[xr.DataArray], low: np.ndarray, high: np.nda
     for a, one in enumerate(ends):
         for other in ends[a + 1 :]:
             if np.sum(one != other) == 1:
-                line = _seen(np.stack([one, other]))
+                line = _project(np.stack([one, other]))
                 ax.plot(line[:, 0], line[:, 1], color=LINE, linewidth=0.5, zorder=0)
     edges = ([[-1, -1, -1], [1, -1, -1]], [[1, -1, -1], [1, 1, -1]], [[-1, -1, -1], [-1, -1, 1]])
     for i, (variable, edge) in enumerate(zip(shown, edges, strict=True)):
         name = with_units(symbol_of(str(variable.name).removesuffix("_points")), variable)
-        middle = _seen(np.array(edge, float)).mean(axis=0)[:2]
+        middle = _project(np.array(edge, float)).mean(axis=0)[:2]
         shift, where = ((-3.0, 0.0), ("right", "center")) if i == 2 else ((0.0, -3.0), ("center", "top"))
         ax.annotate(
             f"{name}: {low[i]:.3g} to {high[i]:.3g}",
@@ -117,5 +117,5 @@ def _draw_box(ax: Axes, shown: list[xr.DataArray], low: np.ndarray, high: np.nda
 
 def _slope(edge: list[list[int]]) -> float:
     """Return the angle of an edge of the box in the picture, from left to right."""
-    way = np.diff(_seen(np.array(edge, float)), axis=0)[0]
+    way = np.diff(_project(np.array(edge, float)), axis=0)[0]
     return float(np.arctan2(way[1], way[0]))

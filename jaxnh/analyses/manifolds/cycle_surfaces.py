@@ -18,7 +18,7 @@ from jaxnh.analyses.manifolds.branches import BranchSet
 from jaxnh.analyses.manifolds.curves import LENGTH as WHOLE
 from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, positions, tangents
 from jaxnh.analyses.manifolds.motions import ROUNDING, Front
-from jaxnh.analyses.manifolds.surfaces import LENGTH, MAX_POINTS, Fan, Growth, Surface, follow, grow_fans, joined
+from jaxnh.analyses.manifolds.surfaces import LENGTH, MAX_POINTS, Fan, Growth, SurfaceMesh, follow, grow_fans, joined
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.iterate import return_time
 from jaxnh.systems.chart import general_directions
@@ -117,7 +117,7 @@ def grow_surfaces_of_cycles(
     growth: Growth,
     grown: BranchSet,
     lane: Int[np.ndarray, " saddles"],
-) -> list[Surface | None]:
+) -> list[SurfaceMesh | None]:
     """Return the surfaces that the branches of each saddle lead to; None where there are no branches.
 
     Args:
@@ -155,21 +155,24 @@ def _parts(lanes: LaneRunner, growth: Growth, rims: Sequence[BranchRim]) -> list
     return [max(_LEAST, math.ceil(_TRIED * longest[which == k].max() / growth.spacing)) for k in range(len(rims))]
 
 
-def _surface(rim: BranchRim, fan: Fan) -> Surface:
+def _surface(rim: BranchRim, fan: Fan) -> SurfaceMesh:
     """Return the corners and triangles of one branch."""
     counted = fan.counted
     numbers = np.where(counted, np.cumsum(counted).reshape(counted.shape) - 1, -1)
     points, error = fan.points[:, : fan.parts + 1][counted], fan.error[:, : fan.parts + 1][counted]
     arc = np.repeat(rim.arc(fan.places), counted.sum(axis=1))
     end = MAX_POINTS if fan.end == MAX_POINTS or rim.branch.end != WHOLE else LENGTH
-    return Surface(points, error, arc, np.array(fan.bands(numbers), int).reshape(-1, 3), end, fan.gaps)
+    return SurfaceMesh(points, error, arc, np.array(fan.bands(numbers), int).reshape(-1, 3), end, fan.gaps)
 
 
-def _joined(parts: Sequence[Surface]) -> Surface | None:
+def _joined(parts: Sequence[SurfaceMesh]) -> SurfaceMesh | None:
     """Return the branches of a saddle as one surface."""
     if not parts:
         return None
     first = np.cumsum([0, *(len(part.points) for part in parts)])
     triangles = [part.triangles + start for part, start in zip(parts, first, strict=False)]
-    leaves = (np.concatenate([getattr(part, name) for part in parts]) for name in ("points", "error", "arc"))
-    return Surface(*leaves, np.concatenate(triangles), max(p.end for p in parts), sum(p.gaps for p in parts))
+    points, error, arc = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("points", "error", "arc")
+    )
+    end, gaps = max(part.end for part in parts), sum(part.gaps for part in parts)
+    return SurfaceMesh(points, error, arc, np.concatenate(triangles), end, gaps)

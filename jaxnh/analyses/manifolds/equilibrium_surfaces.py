@@ -14,7 +14,7 @@ from jaxnh.analyses.equilibria.search import equilibria_from_starts, field_and_s
 from jaxnh.analyses.manifolds.local_surfaces import FieldValues, LocalSurface, fit_local_surface
 from jaxnh.analyses.manifolds.motions import ROUNDING, Front
 from jaxnh.analyses.manifolds.saddles import extent, parameters_of
-from jaxnh.analyses.manifolds.surfaces import Fan, Growth, Surface, grow_fans, strip
+from jaxnh.analyses.manifolds.surfaces import Fan, Growth, SurfaceMesh, grow_fans, strip
 from jaxnh.analyses.random_starts import Box, random_start_batch
 
 _LEAST = 16  # motions
@@ -98,7 +98,7 @@ class Disc(NamedTuple):
         error, followed = self.local.errors(places), np.ones(count, bool)
         return Front(points, self.local.tangents(places), error, normal, rounding, part, followed)
 
-    def surface(self, fan: Fan) -> Surface:
+    def surface(self, fan: Fan) -> SurfaceMesh:
         """Return the corners within the rim and those of motions, with all triangles."""
         counted, local, disc = fan.counted, self.local, self.disc
         numbers = np.where(counted, len(disc) + np.cumsum(counted).reshape(counted.shape) - 1, -1)
@@ -110,7 +110,7 @@ class Disc(NamedTuple):
         error = np.concatenate([local_error, fan.error[:, :cut][counted]])
         arc = np.concatenate([np.linalg.norm(flat - local.centre, axis=1), arc])
         triangles = np.array(self._disc_triangles(fan, numbers) + fan.bands(numbers), int)
-        return Surface(points, error, arc, triangles, fan.end, fan.gaps)
+        return SurfaceMesh(points, error, arc, triangles, fan.end, fan.gaps)
 
     def _disc_triangles(self, fan: Fan, numbers: Int[np.ndarray, "motions parts+1"]) -> list[tuple[int, int, int]]:
         """Return the triangles within the rim, from ring to ring."""
@@ -193,7 +193,7 @@ def local_surfaces(
 
 def grow_surfaces_of_equilibria(
     lanes: LaneRunner, growth: Growth, local: Sequence[LocalSurface], length: float
-) -> list[Surface]:
+) -> list[SurfaceMesh]:
     """Return the surfaces that local ones are part of, up to an arc length of motions."""
     discs = [Disc(each, length, growth.spacing) for each in local]
     return [disc.surface(fan) for disc, fan in zip(discs, grow_fans(lanes, growth, discs), strict=True)]

@@ -80,20 +80,24 @@ def invariant_bases(
     least = _HYPERBOLIC * np.abs(values).max()
     if np.sum(values.real > least) != 2 or np.any(np.abs(values.real) <= least):
         return None
-    own, basis, _ = scipy.linalg.schur(jacobian, output="real", sort=lambda x, y=0.0: x > 0.0)
-    plane = basis[:, :2]
-    across = scipy.linalg.schur(jacobian, output="real", sort=lambda x, y=0.0: x < 0.0)[1][:, : len(values) - 2]
-    inner = own[:2, :2]
+    plane, across = _invariant_basis(jacobian, 1.0)[:, :2], _invariant_basis(jacobian, -1.0)[:, : len(values) - 2]
+    inner = plane.T @ jacobian @ plane
     rates, vectors = np.linalg.eig(inner)
-    order = np.argsort(rates.real, kind="stable")
+    order = np.argsort(np.real(rates), kind="stable")
     rates, vectors = rates[order], vectors[:, order]
-    complex_ = abs(rates[0].imag) > 0.0
-    axes = np.stack([vectors[:, 0].real, vectors[:, 0].imag], axis=1) if complex_ else vectors.real
+    axes = np.real(vectors)
+    if abs(np.imag(rates[0])) > 0.0:
+        axes = np.stack([axes[:, 0], np.imag(vectors[:, 0])], axis=1)
     if np.linalg.cond(axes) > _SKEW:
         norm = scipy.linalg.solve_continuous_lyapunov(inner.T, np.eye(2))  # of which all motions grow
         axes = np.linalg.inv(np.linalg.cholesky(norm).T)
     axes = axes / np.linalg.norm(axes, axis=0).max()
     return rates, plane @ axes, across
+
+
+def _invariant_basis(jacobian: Float[np.ndarray, "d d"], sign: float) -> Float[np.ndarray, "d d"]:
+    """Return orthonormal vectors, the first of which span the eigenvectors of real parts of a sign."""
+    return np.asarray(scipy.linalg.schur(jacobian, output="real", sort=lambda x, y=0.0: sign * x > 0.0)[1])
 
 
 def fit_local_surface(

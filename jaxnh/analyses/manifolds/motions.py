@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
@@ -29,6 +30,10 @@ ROUNDING = 1e-15
 _BENT = 1e-2  # of the chord of a part: where half the steps leave more, motions are not followed
 
 
+AnyArray = Array | np.ndarray
+"""Arrays of one lane in a program, or of many on the host."""
+
+
 class Front(NamedTuple):
     """The end of a motion so far, in sizes of the coordinates.
 
@@ -42,16 +47,16 @@ class Front(NamedTuple):
         followed: whether the motion is followed on.
     """
 
-    point: Float[Array, " d"]
-    tangent: Float[Array, " d"]
-    error: Float[Array, " d"]
-    normal: Float[Array, " d"]
-    rounding: Float[Array, ""]
-    part: Float[Array, ""]
-    followed: Bool[Array, ""]
+    point: Float[AnyArray, " d"]
+    tangent: Float[AnyArray, " d"]
+    error: Float[AnyArray, " d"]
+    normal: Float[AnyArray, " d"]
+    rounding: Float[AnyArray, ""]
+    part: Float[AnyArray, ""]
+    followed: Bool[AnyArray, ""]
 
 
-class Motion(NamedTuple):
+class MotionPoints(NamedTuple):
     """Points of a motion at the ends of its parts, the first left out, not numbers from where it is not followed.
 
     Attributes:
@@ -74,7 +79,7 @@ def follow_motion(
     p: Parameters,
     parts: int,
     timed: bool,
-) -> Motion:
+) -> MotionPoints:
     """Return the next points of a motion of one lane, with so many and twice as many steps for each part of it.
 
     Args:
@@ -88,9 +93,9 @@ def follow_motion(
         timed: whether parts are so long in time, and not as arcs.
     """
 
-    def along(z: Float[Array, " d"]) -> Float[Array, " d"]:
+    def along(z: Float[AnyArray, " d"]) -> Float[Array, " d"]:
         rate = sign * jnp.stack(rates(flow, flow.chart.state(z * size), p)) / size
-        return rate if timed else rate / jnp.linalg.norm(rate)
+        return jnp.asarray(rate if timed else rate / jnp.linalg.norm(rate))
 
     def with_tangents(_: Any, y: tuple[Array, Array]) -> tuple[Array, Array]:
         rate, slope = jax.linearize(along, y[0])
@@ -116,20 +121,23 @@ def follow_motion(
     tangent, error, normal = _frame(along(front.point), front.tangent, front.error, front.normal)
     begun = front._replace(tangent=tangent, error=error, normal=normal / jnp.linalg.norm(normal))
     end, (points, distance) = lax.scan(part, begun, None, length=parts)
-    return Motion(points, distance, end)
+    return MotionPoints(points, distance, end)
 
 
 def _frame(
-    way: Float[Array, " d"], tangent: Float[Array, " d"], error: Float[Array, " d"], normal: Float[Array, " d"]
-) -> tuple[Float[Array, " d"], Float[Array, " d"], Float[Array, " d"]]:
+    way: Float[AnyArray, " d"],
+    tangent: Float[AnyArray, " d"],
+    error: Float[AnyArray, " d"],
+    normal: Float[AnyArray, " d"],
+) -> tuple[Float[AnyArray, " d"], Float[AnyArray, " d"], Float[AnyArray, " d"]]:
     """Return the unit tangent at right angles to the motion, and the parts of two vectors across the tangent plane."""
     way = way / jnp.linalg.norm(way)
-    tangent = _across(tangent, way)
+    tangent = _orthogonal_part(tangent, way)
     tangent = tangent / jnp.linalg.norm(tangent)
-    return tangent, _across(error, way, tangent), _across(normal, way, tangent)
+    return tangent, _orthogonal_part(error, way, tangent), _orthogonal_part(normal, way, tangent)
 
 
-def _across(vector: Float[Array, " d"], *units: Float[Array, " d"]) -> Float[Array, " d"]:
+def _orthogonal_part(vector: Float[AnyArray, " d"], *units: Float[AnyArray, " d"]) -> Float[AnyArray, " d"]:
     """Return the part of a vector that is orthogonal to unit vectors, which are so to each other."""
     for unit in units:
         vector = vector - (vector @ unit) * unit

@@ -16,7 +16,7 @@ from jaxnh.analyses.manifolds.equilibrium_surfaces import (
     local_surfaces,
 )
 from jaxnh.analyses.manifolds.surface_tables import Surfaces, surface_variables
-from jaxnh.analyses.manifolds.surfaces import Growth, Surface
+from jaxnh.analyses.manifolds.surfaces import Growth, SurfaceMesh
 from jaxnh.analyses.manifolds.tables import KINDS
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.periodic.flow_cycles import no_collocation
@@ -67,7 +67,7 @@ def _of_equilibria(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunne
     place = np.cumsum(two) - 1 - (np.cumsum(number) - number)[known.lane]
     kept = np.flatnonzero(two & (place < options.saddles))
     lane = known.lane[kept]
-    grown, eigenvalues = dict[int, list[Surface | None]](), dict[int, np.ndarray]()
+    grown, eigenvalues = dict[int, list[SurfaceMesh | None]](), dict[int, np.ndarray]()
     with lanes.stage(f"manifolds: surfaces of {len(kept):,} saddles", 0):
         for kind in kinds:
             of_kind = [(i, each) for i, k in enumerate(kept) if (each := local[kind][k]) is not None]
@@ -88,7 +88,7 @@ def _of_cycles(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner, t
         size = box_size(batch.without_section(), options.box)
         saddles, number, _ = find_saddle_orbits(options, batch, lanes, sides)
     on_section, period = np.delete(size, batch.system.number, axis=1), options.period
-    grown, multipliers = dict[int, list[Surface | None]](), dict[int, np.ndarray]()
+    grown, multipliers = dict[int, list[SurfaceMesh | None]](), dict[int, np.ndarray]()
     with lanes.stage(f"manifolds: surfaces of {len(saddles.lane):,} saddles", 0):
         for kind, side in sides.items():
             branches = grow_branches(

@@ -12,11 +12,10 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
-from jaxnh.analyses.manifolds.surfaces import ENDS, Surface
+from jaxnh.analyses.manifolds.surfaces import ENDS, SurfaceMesh
 from jaxnh.analyses.manifolds.tables import KINDS, SIZES, named_points
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.systems.flow import NOT_FINITE, status
-
 
 LENGTHS = {
     "equilibria": "arc length of the motion from the saddle",
@@ -42,7 +41,7 @@ class Surfaces(NamedTuple):
     place: Int[np.ndarray, " saddles"]
     points: Float[np.ndarray, "saddles n d"]
     number: Int[np.ndarray, " lanes"]
-    grown: Mapping[int, list[Surface | None]]
+    grown: Mapping[int, list[SurfaceMesh | None]]
     rates: Mapping[int, np.ndarray]
     size: Float[np.ndarray, "lanes d"]
 
@@ -77,9 +76,7 @@ def surface_variables(
         **named_points(flow, lanes, saddles, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
         **_rates(options, batch, made, dims),
         **named_points(flow, lanes, points, (*dims, "point"), "_points", "on the surface"),
-        "arc_length": variable(
-            (*dims, "point"), arc, f"{LENGTHS[options.of]}, {SIZES}"
-        ),
+        "arc_length": variable((*dims, "point"), arc, f"{LENGTHS[options.of]}, {SIZES}"),
         "deviation": variable((*dims, "point"), deviation, f"distance of the point from the manifold, {SIZES}"),
         "triangles": number_variable((*dims, "triangle", "corner"), triangles, corners, ("none",), -1),
         "end": flag(dims, end, "how the surface ends", ENDS),
@@ -98,7 +95,7 @@ def _rates(options: ManifoldsOptions, batch: LaneBatch, made: Surfaces, dims: tu
         return {"multiplier": variable(dims, multiplier, "multiplier of the cycle along the surface")}
     eigenvalues = np.full((*shape, 2, 2), np.nan)
     for k, of_kind in enumerate(made.rates.values()):
-        eigenvalues[made.lane, made.place, k] = np.stack([of_kind.real, of_kind.imag], axis=-1)
+        eigenvalues[made.lane, made.place, k] = np.stack([np.real(of_kind), np.imag(of_kind)], axis=-1)
     words = "eigenvalues within the manifold, real and imaginary part"
     return {"eigenvalues": variable((*dims, "eigenvalue", "part"), eigenvalues, words, **rate_attrs(batch.flow))}
 

@@ -31,7 +31,7 @@ _ROUNDS = 256
 _OPEN = 2.0  # spacings: neighbours further apart have no triangle between them
 
 
-class Surface(NamedTuple):
+class SurfaceMesh(NamedTuple):
     """Corners and triangles of a manifold.
 
     Attributes:
@@ -112,18 +112,18 @@ def grow_fans(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim]) -> list[Fa
     Steps are as many for all surfaces. Where more of them leave as large errors, these are of rounding.
     """
     steps, before = 1, np.inf
-    fans = _grown(lanes, growth, rims, steps)
+    fans = _grow(lanes, growth, rims, steps)
     while steps < _MOST:
         largest = max((fan.largest_error for fan in fans), default=0.0)
         if not growth.tolerance < largest < 0.5 * before:
             break
         before, more = largest, math.log2(largest / growth.tolerance) / ORDER
         steps = min(steps * 2 ** max(1, math.ceil(more)), _MOST)
-        fans = _grown(lanes, growth, rims, steps)
+        fans = _grow(lanes, growth, rims, steps)
     return fans
 
 
-def _grown(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim], steps: int) -> list[Fan]:
+def _grow(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim], steps: int) -> list[Fan]:
     """Return fans of motions with so many steps for each part."""
     fans = [Fan(rim, growth) for rim in rims]
     wanted = [rim.first for rim in rims]
@@ -156,8 +156,8 @@ def follow(
     size, p = growth.size[which], select(dict(growth.p), which)
     for _ in range(math.ceil(parts / _PARTS)):
         more = lanes(follow_motion, shared, (front, size, p), tile=_TILE, static=(_PARTS, growth.timed))
-        points.append(more.points)
-        errors.append(more.error)
+        points.append(np.asarray(more.points))
+        errors.append(np.asarray(more.error))
         front = more.front
     return np.concatenate(points, axis=1)[:, : parts + 1], np.concatenate(errors, axis=1)[:, : parts + 1]
 
