@@ -223,7 +223,7 @@ def turning_over(a=0.1):
 
 @pytest.mark.slow
 def test_a_surface_that_turns_over():
-    """A cycle of a negative multiplier: its manifold is the Möbius strip η = 0."""
+    """A cycle of a negative multiplier: its manifold is the Möbius strip η = 0. Coarse steps compile in half the time."""
     options = jaxnh.Manifolds(
         dimension=2,
         of="cycles",
@@ -233,20 +233,20 @@ def test_a_surface_that_turns_over():
         length=0.5,
         spacing=0.05,
     )
-    session = jaxnh.Session(turning_over, start={"x": 1.0, "y": 0.0, "z": 0.0}, target=1e-9)
+    session = jaxnh.Session(turning_over, start={"x": 1.0, "y": 0.0, "z": 0.0}, target=1e-5)
     session = session.on(coordinate="y", value=0.0, direction="up")
     data = session.run(options, a=[0.1]).isel(a=0, saddle=0, surface=0)
-    assert float(data["multiplier"]) == pytest.approx(-np.exp(0.2 * np.pi), rel=1e-7)
+    assert float(data["multiplier"]) == pytest.approx(-np.exp(0.2 * np.pi), rel=1e-3)
     (x, y, z), _, deviation, _ = (leaf.T for leaf in corners(data))
     half = 0.5 * np.arctan2(y, x)
     assert np.all(np.abs(np.cos(half) * z - np.sin(half) * (np.hypot(x, y) - 1.0)) <= deviation)
-    assert deviation.max() < 1e-7
+    assert deviation.max() < 1e-3
 
 
 # ---- Lorenz's manifold
 
 
-SPAN = np.linspace(0.0, 3.0, 601)
+SPAN = np.linspace(0.0, 6.0, 601)  # bars of 1e-13 are seen after 3 and more
 
 
 def heyoka_lorenz(rho):
@@ -291,7 +291,7 @@ def normals(points, triangles):
 def leaves_to(motion):
     """On which side of the manifold a motion passes the origin: the sign of x as it leaves, 0 of one that does not come."""
     distance = np.linalg.norm(motion, axis=1)
-    nearest = np.argmin(distance)
+    nearest = np.argmin(distance[: len(SPAN) // 2])
     out = np.flatnonzero(np.abs(motion[nearest:, 0]) > np.abs(motion[nearest, 0]) + 1.0)
     return np.sign(motion[nearest + out[0], 0]) if len(out) and distance[nearest] < 10.0 else 0.0
 
