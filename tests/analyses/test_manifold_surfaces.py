@@ -6,6 +6,7 @@ import heyoka as hy
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 
 import jaxnh
 from jaxnh.analyses.batch import LaneBatch, broadcast_start
@@ -64,13 +65,17 @@ def is_a_disc(points, triangles):
     return rim
 
 
-def surfaces_of(lanes, kind, length, **p):
+def surfaces_of(lanes, kind, length, max_points=4096, **p):
     """The surfaces of lanes with such parameters, which must be as many of each."""
     p = {name: np.asarray(values, float) for name, values in p.items()}
     flow = first_order(leaving, {"b": 1.0, "w": 0.0, "n": 0.0, "c": 2.0, "s": 1.0}, ("b", "w", "n", "s"))
     count = len(p["b"])
-    batch = LaneBatch(flow, broadcast_start(Point((0.1, 0.1, 0.1)), count), p, dopri8, 64, False, 1e-9)
-    options = jaxnh.Manifolds(dimension=2, kind=kind, box=BOX, n_starts=4, length=length, spacing=0.1, max_points=4096)
+    batch = LaneBatch(
+        flow, broadcast_start(Point((0.1, 0.1, 0.1)), count), p, dopri8, 64, False, 1e-9, np.zeros(count, int)
+    )
+    options = jaxnh.Manifolds(
+        dimension=2, kind=kind, box=BOX, n_starts=4, length=length, spacing=0.1, max_points=max_points
+    )
     return manifolds.run(options, batch, lanes).isel(saddle=0, surface=0)
 
 
@@ -116,6 +121,17 @@ def test_as_many_points_as_there_may_be(lanes):
     assert 2048 < len(points) <= 4096
     rim = is_a_disc(points, triangles)
     assert np.ptp(arc[rim]) < 0.5  # the boundary of the local manifold is no circle
+    few = surfaces_of(lanes, "unstable", 4.0, b=[3.0], w=[0.0], n=[0.0], s=[1.0], max_points=16).isel(lane=0)
+    assert len(corners(few)[0]) == 1  # not even the local manifold has so few
+    assert jaxnh.labels(few["end"]).item() == "max points"
+
+
+def test_a_lane_is_the_same_with_others(lanes):
+    """To the bit, steps of its own included: a lane of fast and one of slow eigenvalues, together and alone."""
+    together = surfaces_of(lanes, "unstable", 1.0, b=[8.0, 1.0], w=[0.0, 2.0], n=[0.0, 0.0], s=[1.0, 1.0])
+    for k, (b, w) in enumerate(((8.0, 0.0), (1.0, 2.0))):
+        alone = surfaces_of(lanes, "unstable", 1.0, b=[b], w=[w], n=[0.0], s=[1.0])
+        xr.testing.assert_identical(together.isel(lane=k), alone.isel(lane=0))
 
 
 def test_what_does_not_go():

@@ -18,7 +18,17 @@ from jaxnh.analyses.manifolds.branches import BranchSet
 from jaxnh.analyses.manifolds.curves import LENGTH as WHOLE
 from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, positions, tangents
 from jaxnh.analyses.manifolds.motions import ROUNDING, Front
-from jaxnh.analyses.manifolds.surfaces import LENGTH, MAX_POINTS, Fan, Growth, SurfaceMesh, follow, grow_fans, joined
+from jaxnh.analyses.manifolds.surfaces import (
+    LENGTH,
+    MAX_POINTS,
+    Fan,
+    Growth,
+    SurfaceMesh,
+    fitting,
+    follow,
+    grow_fans,
+    joined,
+)
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.iterate import return_time
 from jaxnh.systems.chart import general_directions
@@ -133,10 +143,10 @@ def grow_surfaces_of_cycles(
             rims.append(BranchRim(batch, lanes, grown.curves[1], b, branch, deviation, size, growth.spacing, _TRIED))
             of_saddle.append(b // each)
     own = lane[np.array(of_saddle, int)]
-    growth = growth._replace(size=growth.size[own], p=select(dict(growth.p), own), most=growth.most // max(each, 1))
+    growth = growth.take(own)._replace(most=growth.most // max(each, 1))
     rims = [replace(rim, parts=parts) for rim, parts in zip(rims, _parts(lanes, growth, rims), strict=True)]
     fans = grow_fans(lanes, growth, rims)
-    surfaces = [_surface(rim, fan) for rim, fan in zip(rims, fans, strict=True)]
+    surfaces = [fitting(_surface(rim, fan), growth.most) for rim, fan in zip(rims, fans, strict=True)]
     return [
         _joined([surface for surface, s in zip(surfaces, of_saddle, strict=True) if s == k]) for k in range(len(lane))
     ]

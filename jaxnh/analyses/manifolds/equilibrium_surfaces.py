@@ -14,7 +14,7 @@ from jaxnh.analyses.equilibria.search import equilibria_from_starts, field_and_s
 from jaxnh.analyses.manifolds.local_surfaces import FieldValues, LocalSurface, fit_local_surface
 from jaxnh.analyses.manifolds.motions import ROUNDING, Front
 from jaxnh.analyses.manifolds.saddles import extent, parameters_of
-from jaxnh.analyses.manifolds.surfaces import Fan, Growth, SurfaceMesh, grow_fans, strip
+from jaxnh.analyses.manifolds.surfaces import Fan, Growth, SurfaceMesh, fitting, grow_fans, strip
 from jaxnh.analyses.random_starts import Box, random_start_batch
 
 _LEAST = 16  # motions
@@ -196,4 +196,5 @@ def grow_surfaces_of_equilibria(
 ) -> list[SurfaceMesh]:
     """Return the surfaces that local ones are part of, up to an arc length of motions."""
     discs = [Disc(each, length, growth.spacing) for each in local]
-    return [disc.surface(fan) for disc, fan in zip(discs, grow_fans(lanes, growth, discs), strict=True)]
+    fans = grow_fans(lanes, growth, discs)
+    return [fitting(disc.surface(fan), growth.most) for disc, fan in zip(discs, fans, strict=True)]

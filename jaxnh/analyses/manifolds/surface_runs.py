@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.analyses.base import OptionError, Setting
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import SIDES, find_saddle_orbits, grow_branches, sides_of
 from jaxnh.analyses.manifolds.cycle_surfaces import grow_surfaces_of_cycles, whole_points
 from jaxnh.analyses.manifolds.equilibrium_surfaces import (
@@ -73,8 +73,9 @@ def _of_equilibria(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunne
             of_kind = [(i, each) for i, k in enumerate(kept) if (each := local[kind][k]) is not None]
             own = np.array([i for i, _ in of_kind], int)
             growth = _growth(options, batch, size, kind, tolerance)
-            growth = growth._replace(size=size[lane[own]], p=select(dict(growth.p), lane[own]))
-            surfaces = grow_surfaces_of_equilibria(lanes, growth, [each for _, each in of_kind], options.length)
+            surfaces = grow_surfaces_of_equilibria(
+                lanes, growth.take(lane[own]), [each for _, each in of_kind], options.length
+            )
             grown[kind], eigenvalues[kind] = [None] * len(kept), np.full((len(kept), 2), np.nan + 0j)
             for (i, each), surface in zip(of_kind, surfaces, strict=True):
                 grown[kind][i], eigenvalues[kind][i] = surface, SIDES[kind] * each.eigenvalues

@@ -51,6 +51,14 @@ class SurfaceMesh(NamedTuple):
     gaps: int
 
 
+def fitting(mesh: SurfaceMesh, most: int) -> SurfaceMesh:
+    """Return a mesh, or its first corner alone where it has more than may be even so far as it is cut."""
+    if len(mesh.points) <= most:
+        return mesh
+    one = mesh.points[:1], mesh.error[:1], mesh.arc[:1]
+    return SurfaceMesh(*one, np.zeros((0, 3), int), MAX_POINTS, mesh.gaps)
+
+
 class Rim(Protocol):
     """Where the motions of a surface begin.
 
@@ -105,21 +113,31 @@ class Growth(NamedTuple):
     tolerance: float
     timed: bool = False
 
+    def take(self, which: Int[np.ndarray, " some"]) -> Growth:
+        """Return the same of some surfaces, or of surfaces of some lanes."""
+        return self._replace(size=self.size[which], p=select(dict(self.p), which))
+
 
 def grow_fans(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim]) -> list[Fan]:
     """Return the motions that begin on rims, one fan a surface, with as many steps as the tolerance needs.
 
-    Steps are as many for all surfaces. Where more of them leave as large errors, these are of rounding.
+    Each surface has steps of its own, whatever others it is grown with. Where more of them leave as large an error, it
+    is of rounding.
     """
-    steps, before = 1, np.inf
-    fans = _grow(lanes, growth, rims, steps)
-    while steps < _MOST:
-        largest = max((fan.largest_error for fan in fans), default=0.0)
-        if not growth.tolerance < largest < 0.5 * before:
-            break
-        before, more = largest, math.log2(largest / growth.tolerance) / ORDER
-        steps = min(steps * 2 ** max(1, math.ceil(more)), _MOST)
-        fans = _grow(lanes, growth, rims, steps)
+    fans, steps = [Fan(rim, growth) for rim in rims], np.ones(len(rims), int)
+    before, number = np.full(len(rims), np.inf), np.arange(len(rims))
+    while len(number):
+        for count in np.unique(steps[number]).tolist():
+            part = number[steps[number] == count]
+            grown = _grow(lanes, growth.take(part), [rims[k] for k in part], count)
+            for k, fan in zip(part.tolist(), grown, strict=True):
+                fans[k] = fan
+        largest = np.array([fans[k].largest_error for k in number])
+        again = (largest > growth.tolerance) & (largest < 0.5 * before[number]) & (steps[number] < _MOST)
+        before[number] = largest
+        number, largest = number[again], largest[again]
+        finer = np.maximum(1.0, np.ceil(np.log2(largest / growth.tolerance) / ORDER))
+        steps[number] = np.minimum(steps[number] * 2 ** finer.astype(int), _MOST)
     return fans
 
 
@@ -212,9 +230,7 @@ class Fan:
         apart = np.flatnonzero(wide.any(axis=1))
         between = self._rim.between(self.places[one[apart]], self.places[other[apart]])
         begun = np.asarray(self._rim.begin(between).point) if len(apart) else np.zeros((0, self.points.shape[2]))
-        new = np.any(begun != self.points[one[apart], 0], axis=1) & np.any(
-            begun != self.points[other[apart], 0], axis=1
-        )
+        new = np.all([np.any(begun != self.points[end[apart], 0], axis=1) for end in (one, other)], axis=0)
         self.gaps, apart = int(np.sum(~new)), apart[new]
         self._next = apart + 1, np.maximum(np.argmax(wide[apart], axis=1) - 1, since[apart])
         return between[new]
