@@ -134,6 +134,46 @@ def test_a_lane_is_the_same_with_others(lanes):
         xr.testing.assert_identical(together.isel(lane=k), alone.isel(lane=0))
 
 
+def in_four_dimensions(b=1.0):
+    """A focus that leaves along a graph over (x, y), to which the differences from it come; these alone are the other one."""
+
+    def rhs(u, t):
+        x, y, z, w = u
+        p, by_x, by_y = graph(x, y)
+        q, of_x, of_y = 0.4 * x * y + 0.1 * x**3, 0.4 * y + 0.3 * x**2, 0.4 * x
+        dx, dy, one, other = x - 2.0 * y, 2.0 * x + b * y, z - p, w - q
+        dz = -one + 3.0 * other + by_x * dx + by_y * dy
+        return dx, dy, dz, -3.0 * one - 2.0 * other + 0.5 * one * other + of_x * dx + of_y * dy
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z", "w")}
+
+
+@pytest.mark.slow
+def test_both_surfaces_in_four_dimensions():
+    """Distances from a graph in two directions are those along its normals; the stable plane is x = y = 0."""
+    box = {name: (-1.0, 1.0) for name in "xyzw"}
+    session = jaxnh.Session(in_four_dimensions, start={"x": 0.0, "y": 0.0, "z": 0.1, "w": 0.1}, target=1e-8)
+    options = jaxnh.Manifolds(dimension=2, box=box, n_starts=4, length=1.0, max_points=4096)
+    data = session.run(options, b=[1.0, 3.0]).isel(saddle=0)
+    assert jaxnh.labels(data["surface_kind"].isel(b=0)).to_numpy().tolist() == ["unstable", "stable"]
+    for b in (0, 1):
+        unstable, stable = (data.isel(b=b, surface=k) for k in (0, 1))
+        known = np.isfinite(unstable["deviation"].to_numpy())
+        x, y, z, w = (unstable[f"{name}_points"].to_numpy()[known] for name in "xyzw")
+        p, by_x, by_y = graph(x, y)
+        off = np.stack([z - p, w - 0.4 * x * y - 0.1 * x**3], axis=1)
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        normal = np.array([[-by_x, -by_y, one, zero], [-0.4 * y - 0.3 * x**2, -0.4 * x, zero, one]])
+        square = np.linalg.inv(np.einsum("kin,lin->nkl", normal, normal))
+        deviation = unstable["deviation"].to_numpy()[known]
+        assert np.mean(np.sqrt(np.einsum("nk,nkl,nl->n", off, square, off)) <= deviation) >= 0.95
+        assert deviation.max() < 1e-8
+        known = np.isfinite(stable["deviation"].to_numpy())
+        assert known.sum() > 500
+        x, y = (stable[f"{name}_points"].to_numpy()[known] for name in "xy")
+        assert np.all(np.hypot(x, y) <= stable["deviation"].to_numpy()[known])
+
+
 def test_what_does_not_go():
     """Systems without such surfaces, and options of curves."""
 
