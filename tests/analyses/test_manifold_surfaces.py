@@ -151,7 +151,7 @@ def in_four_dimensions(b=1.0):
 @pytest.mark.slow
 def test_both_surfaces_in_four_dimensions():
     """Distances from a graph in two directions are those along its normals; the stable plane is x = y = 0."""
-    box = {name: (-1.0, 1.0) for name in "xyzw"}
+    box = dict.fromkeys("xyzw", (-1.0, 1.0))
     session = jaxnh.Session(in_four_dimensions, start={"x": 0.0, "y": 0.0, "z": 0.1, "w": 0.1}, target=1e-8)
     options = jaxnh.Manifolds(dimension=2, box=box, n_starts=4, length=1.0, max_points=4096)
     data = session.run(options, b=[1.0, 3.0]).isel(saddle=0)
