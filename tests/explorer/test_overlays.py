@@ -122,7 +122,9 @@ def test_manifolds_are_over_coordinates_of_the_start():
     assert branch.y == pytest.approx(0.5 * (np.sqrt(5) - 1) * branch.x)
     assert dict(branch.facts(3))["manifold"] == "unstable, of saddle 1"
     assert layers_of({"manifolds": cat_manifolds()}, "start_x1", "start_x2") == []
-    assert layers_of({"manifolds": saddle_surface()}, "start_x", "start_y") == []  # seen from outside in its panel alone
+    assert (
+        layers_of({"manifolds": saddle_surface()}, "start_x", "start_y") == []
+    )  # seen from outside in its panel alone
 
 
 def logistic_branches():

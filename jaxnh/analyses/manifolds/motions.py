@@ -27,7 +27,8 @@ ORDER = _METHOD.convergence_order
 ROUNDING = 1e-15
 """Share of a point that a part of a motion leaves at most."""
 
-_BENT = 1e-2  # of the chord of a part: where half the steps leave more, motions are not followed
+_MORE = 64  # times the steps, where the field changes as fast as next to an equilibrium
+_BENT = 1e-3  # of the chord of a part: where half the steps leave more, motions are not followed
 
 
 AnyArray = Array | np.ndarray
@@ -82,6 +83,8 @@ def follow_motion(
 ) -> MotionPoints:
     """Return the next points of a motion of one lane, with so many and twice as many steps for each part of it.
 
+    Parts on which the field changes by more than itself have as many times the steps, as beside an equilibrium.
+
     Args:
         flow: without a clock.
         steps: of a part; points are those of twice as many.
@@ -107,8 +110,10 @@ def follow_motion(
 
     def part(front: Front, _: None) -> tuple[Front, tuple[Array, Array]]:
         begun = front.point, jnp.stack([front.tangent, front.error, front.normal])
-        coarse, (tangent, error, normal) = advanced(steps, with_tangents, begun)
-        z = advanced(2 * steps, lambda _, z: along(z), front.point)
+        turned = front.part * jnp.linalg.norm(jax.jacfwd(along)(front.point))
+        count = steps * jnp.clip(jnp.ceil(turned), 1, _MORE).astype(jnp.int32)
+        coarse, (tangent, error, normal) = advanced(count, with_tangents, begun)
+        z = advanced(2 * count, lambda _, z: along(z), front.point)
         left = coarse - z
         tangent, error, normal = _frame(along(z), tangent, error + left, normal)
         grown = jnp.linalg.norm(normal)
