@@ -700,9 +700,10 @@ KINDS = {
         {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
         | {"verdict": WITHOUT_SECTION.format("period")}
         | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
+        | {"manifolds": no_saddle}
         | {"transport": stays, "edges": no_edges(1, "one_attractor"), "homoclinic": SADDLES_OVER_ONE.format("mu")},
         moebius.MOEBIUS_IN_SPACE,
-        starts_between("x", 1.2, 1.4),
+        starts_between("x", 1.2, 1.4) | {"manifolds": {"dimension": 2, "box": {"x": (1.2, 1.4)}, "n_starts": 4}},
     ),
     "steps of a lane's own": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 160}",

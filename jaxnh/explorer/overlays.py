@@ -309,7 +309,7 @@ def _of_orbits(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
 
 
 def _of_manifolds(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
-    if f"{across}_points" not in data or f"{up}_points" not in data:
+    if f"{across}_points" not in data or f"{up}_points" not in data or "branch_kind" not in data:  # as of surfaces
         return
     own = ("saddle", "branch", "point", "orbit_point", "crossing", "contact")
     data = data.isel({dim: 0 for dim in data.dims if dim not in own})

@@ -113,6 +113,14 @@ def _of_curves(data: xr.Dataset, panel: str, *own: str) -> _Description:
     return _Description(panel, parameters, own, parameters=parameters)
 
 
+def _manifolds(data: xr.Dataset) -> _Description:
+    """Curves in a plane, or surfaces in space."""
+    names = [name for name in _names_over(data, "point") if name.endswith("_points")]
+    if "triangles" in data:
+        return _Description("surfaces", names[:3], ("saddle", "surface", "point"))
+    return _Description("manifolds", names[:2], ("saddle", "branch", "point"))
+
+
 _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description] | None]] = {
     "orbit_counts": (
         ("missing_high",),
@@ -128,14 +136,7 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
             "curves", [name for name in ("shock",) if name in data], ("attractor",), "least shock", "0"
         ),
     ),
-    "manifolds": (
-        ("branch_kind",),
-        lambda data: _Description(
-            "manifolds",
-            [name for name in _names_over(data, "point") if name.endswith("_points")][:2],
-            ("saddle", "branch", "point"),
-        ),
-    ),
+    "manifolds": (("arc_length", "end", "saddles"), _manifolds),
     "covariant": (
         ("angle_min", "tangency"),
         lambda _: _Description("curves", ("angle_min",), ("split",), "smallest angle", "0"),

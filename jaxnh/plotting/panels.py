@@ -21,6 +21,7 @@ from jaxnh.plotting.manifolds import manifolds
 from jaxnh.plotting.phase_response import phase_responses
 from jaxnh.plotting.pixels import Colourer, Pixels, flag_pixels, integer_pixels, number_pixels
 from jaxnh.plotting.planes import points, trajectories
+from jaxnh.plotting.surfaces import surfaces
 from jaxnh.plotting.windows import windows
 
 
@@ -48,6 +49,7 @@ PANELS: Mapping[str, Kind] = {
     "trajectories": Kind(trajectories, 2.9, "lane"),
     "points": Kind(points, 2.9, "lane"),
     "manifolds": Kind(manifolds, 2.9, "lane"),
+    "surfaces": Kind(surfaces, 3.6, "lane"),
     "density": Kind(density, 3.2, "point"),
     "cascade": Kind(cascade, 2.1, "group"),
     "curves": Kind(curves, 2.7, "point", numbers_chart, pixels=number_pixels),

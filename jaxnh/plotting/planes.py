@@ -114,6 +114,11 @@ def finish_plane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:
     """Label the axes of a panel of one lane, and name its values above."""
     x, y = plane_coordinates(data)
     ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
+    return name_lane(data, lane, ax)
+
+
+def name_lane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:
+    """Name the values of the axes that a lane has above its panel."""
     letter = f"({_LETTERS[lane]}) " if lane_count(data) <= len(_LETTERS) else ""
     ax.set_title(letter + title_of(lane_of(data, lane), axes_of(data)))
     return ax

@@ -15,6 +15,7 @@ from tests.helpers.hand_made_results import (
     cat_manifolds,
     cusp_curves,
     cusp_point,
+    saddle_surface,
     tree,
     window_rows,
 )
@@ -121,6 +122,9 @@ def test_manifolds_are_over_coordinates_of_the_start():
     assert branch.y == pytest.approx(0.5 * (np.sqrt(5) - 1) * branch.x)
     assert dict(branch.facts(3))["manifold"] == "unstable, of saddle 1"
     assert layers_of({"manifolds": cat_manifolds()}, "start_x1", "start_x2") == []
+    assert (
+        layers_of({"manifolds": saddle_surface()}, "start_x", "start_y") == []
+    )  # seen from outside in its panel alone
 
 
 def logistic_branches():

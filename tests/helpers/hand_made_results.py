@@ -180,6 +180,26 @@ def cat_manifolds():
     return drawn.assign_attrs(axes="b")
 
 
+def saddle_surface():
+    """The graph z = x y over a square, in triangles, as a stable manifold of zero."""
+    side = np.linspace(-1.0, 1.0, 9)
+    x, y = (leaf.ravel() for leaf in np.meshgrid(side, side, indexing="ij"))
+    corner = np.arange(8)[:, None] * 9 + np.arange(8)
+    triangles = np.stack([corner, corner + 1, corner + 9, corner + 10, corner + 9, corner + 1], axis=-1).reshape(-1, 3)
+    over, flags = ("b", "saddle", "surface"), {"flag_values": np.arange(2), "flag_meanings": "unstable stable"}
+    points = {"x": x, "y": y, "z": x * y}
+    variables = {
+        **{f"{name}_points": ((*over, "point"), leaf[None, None, None], name, "m") for name, leaf in points.items()},
+        "arc_length": ((*over, "point"), np.hypot(x, y)[None, None, None], "arc length", "1"),
+        "triangles": ((*over, "triangle", "corner"), triangles[None, None, None], "corners", "1"),
+        "surface_kind": (("b", "surface"), np.ones((1, 1), np.int8), "kind of surface", "1", flags),
+    }
+    drawn = dataset(
+        {"b": (np.ones(1), "coupling b")}, variables, panel="surfaces", panel_variables="x_points y_points z_points"
+    )
+    return drawn.assign_attrs(axes="b")
+
+
 def cascade_marks():
     """Its first two doublings, and a fold that is none of it, subcritical."""
     x = np.array([[2 / 3, np.nan], [0.4399, 0.8499], [0.5, np.nan]])

@@ -25,6 +25,7 @@ from tests.helpers.hand_made_results import (
     growth_rates,
     periods,
     radial_responses,
+    saddle_surface,
     states,
     tree,
     verdicts,
@@ -49,6 +50,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
     special_points,
     windows,
     manifolds,
+    surfaces,
     phase_responses,
 ) = (
     PANELS[name].draw
@@ -68,6 +70,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
         "special_points",
         "windows",
         "manifolds",
+        "surfaces",
         "phase_responses",
     )
 )
@@ -100,6 +103,7 @@ DRAWINGS = {
     "special_points": lambda ax: special_points(cusp_point(), ax),
     "windows": lambda ax: windows(window_rows(), ax),
     "manifolds": lambda ax: manifolds(cat_manifolds(), ax),
+    "surfaces": lambda ax: surfaces(saddle_surface(), ax),
     "phase_responses": lambda ax: phase_responses(radial_responses(FEW), ax, lane=1),
 }
 
@@ -116,8 +120,12 @@ def test_axes_are_returned_and_named(name):
     alone = DRAWINGS[name](None)
     assert isinstance(alone, Axes)
     for axes in (ax, alone):
-        assert "(" in axes.get_xlabel()
-        assert "(" in axes.get_ylabel() or name == "flags"
+        labels = axes.get_xlabel(), axes.get_ylabel()
+        if name == "surfaces":  # named along the edges of their box
+            labels = [text.get_text() for text in axes.texts]
+            assert len(labels) == 3
+        assert "(" in labels[0]
+        assert all("(" in label for label in labels[1:]) or name == "flags"
         axes.figure.draw_without_rendering()
 
 

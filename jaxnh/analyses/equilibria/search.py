@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -49,14 +50,15 @@ def equilibria_from_starts(
 ) -> Equilibria:
     """Solve for a zero of the field by Newton, least squares where that is singular, from points of lanes."""
     at, step = u.copy(), np.zeros_like(u)
-    rates, change = _fields(batch, lanes, u)
+    p = dict(batch.p)
+    rates, change = field_and_slopes(batch.flow, lanes, u, p)
     for _ in range(_STEPS):
         with np.errstate(invalid="ignore", over="ignore"):
             finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)
         inverse = np.linalg.pinv(np.where(finite[:, None, None], change, 0.0))
         step = -np.einsum("lij,lj->li", inverse, np.where(finite[:, None], rates, 0.0))
         at = at + step
-        rates, change = _fields(batch, lanes, at)
+        rates, change = field_and_slopes(batch.flow, lanes, at, p)
     finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)  # else no step was taken
     rounding = _rounding(batch, size)
     exists = finite & np.all(np.abs(step) <= rounding, axis=1)
@@ -79,10 +81,11 @@ def _rounding(batch: LaneBatch, size: Float[np.ndarray, "lanes d"]) -> Float[np.
     return _ROUNDING * unit + _NOTHING * unit.max(axis=1, keepdims=True)
 
 
-def _fields(
-    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
-) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d d"]]:
-    rate, jacobian = lanes(_field, (batch.flow,), (u, dict(batch.p)))
+def field_and_slopes(
+    flow: Flow, lanes: LaneRunner, u: Float[np.ndarray, "points d"], p: Mapping[str, Float[np.ndarray, " points"]]
+) -> tuple[Float[np.ndarray, "points d"], Float[np.ndarray, "points d d"]]:
+    """Return rates of a flow without a clock at points, and their derivatives in the coordinates."""
+    rate, jacobian = lanes(_field, (flow,), (u, p))
     return np.asarray(rate), np.asarray(jacobian)
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from jaxnh.analyses.base import OptionError
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, distance_from, grow, positions
-from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
+from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, find_orbits, parameters_of, take_orbits
+from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.maps.family import Maps, padded_like
+from jaxnh.maps.iterate import section_map
+from jaxnh.systems.discrete_map import DiscreteMap
+
+_UNDOES = 1e-5  # sizes: how far from it an inverse map may take a point back
 
 SIDES = (1.0, -1.0)
 """Signs of the direction that the two branches of a germ begin in."""
@@ -47,6 +53,49 @@ def side_of(make: Callable[[float], Maps], backward: bool) -> Side:
     """Return the maps of a kind, from what makes them with so many times the steps."""
     fine = make(2)
     return Side((padded_like(make(1), fine), fine), backward)
+
+
+def sides_of(options: ManifoldsOptions, batch: LaneBatch) -> dict[int, Side]:
+    """Return the maps of the kinds that are asked for."""
+    sides = dict[int, Side]()
+    if options.kind != "stable":
+        sides[0] = side_of(batch.strobe, backward=False)
+    if options.kind != "unstable":
+        try:
+            sides[1] = side_of(batch.inverse, backward=True)
+        except TypeError as error:
+            raise OptionError(f"{error}; stable manifolds need that: take kind: unstable", "kind") from None
+    return sides
+
+
+def find_saddle_orbits(
+    options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner, sides: Mapping[int, Side]
+) -> tuple[Saddles, Int[np.ndarray, " lanes"], Float[np.ndarray, "lanes d"]]:
+    """Return the saddle orbits that are kept, how many each lane has, and the sizes of lanes."""
+    orbits, size = find_orbits(batch, lanes, options.period, options.n_starts, options.seed, options.box)
+    p, scale = parameters_of(batch, orbits.lane), size[orbits.lane]
+    kept = np.zeros(len(orbits.lane), bool)
+    for side in sides.values():
+        germs = find_germs(batch, lanes, side.maps[0], p, orbits.points, scale, side.backward)
+        kept |= has_branches(germs, options.period)
+    if 1 in sides:
+        _check_inverse(batch, lanes, sides[1], orbits, size)
+    number = np.bincount(orbits.lane[kept], minlength=batch.count)
+    return take_orbits(orbits, kept, options.saddles), number, size
+
+
+def _check_inverse(
+    batch: LaneBatch, lanes: LaneRunner, side: Side, orbits: Saddles, size: Float[np.ndarray, "lanes d"]
+) -> None:
+    """Check that an inverse that a map says takes points of its orbits back."""
+    if not isinstance(batch.system, DiscreteMap) or not len(orbits.lane):
+        return
+    last = orbits.points[:, -1]
+    back = np.asarray(
+        lanes(section_map, (side.maps[0], np.int32(1)), (orbits.points[:, 0], parameters_of(batch, orbits.lane)))
+    )
+    if not np.max(np.abs(batch.chart.wrap(back - last)) / size[orbits.lane]) < _UNDOES:
+        raise OptionError("the map gives no inverse of itself: it does not take a point of an orbit back", "kind")
 
 
 def grow_branches(

@@ -7,13 +7,15 @@ Saddles are sought by Newton from random starts (`saddles`); branches grow from 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import Analysis, OptionError, Setting, check_names
+from jaxnh.analyses.base import Analysis, OptionError, Setting, Table, check_names
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.branches import BranchSet, Side, grow_branches, has_branches, side_of
+from jaxnh.analyses.manifolds.branches import BranchSet, Side, find_saddle_orbits, grow_branches, sides_of
 from jaxnh.analyses.manifolds.crossings import (
     Crossings,
     Meetings,
@@ -24,29 +26,33 @@ from jaxnh.analyses.manifolds.crossings import (
     take,
 )
 from jaxnh.analyses.manifolds.curves import ManifoldBranch
-from jaxnh.analyses.manifolds.saddles import Saddles, find_germs, find_orbits, parameters_of, take_orbits
+from jaxnh.analyses.manifolds.saddles import Saddles
+from jaxnh.analyses.manifolds.surface_runs import check_surfaces, run_surfaces
+from jaxnh.analyses.manifolds.surface_tables import surface_table
 from jaxnh.analyses.manifolds.tables import OWN_NAMES, Manifolds, table, variables
 from jaxnh.analyses.manifolds.tangencies import Tangencies, locate_tangencies, near_tangencies, nearest_tangencies
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.analyses.trajectories.states import section_attrs
-from jaxnh.maps.iterate import section_map
-from jaxnh.systems.discrete_map import DiscreteMap
 
-_UNDOES = 1e-5  # sizes: how far from it an inverse map may take a point back
+_REACHED = 0.1  # of a unit of time, for a size: how fast motions of surfaces are, for the expected work
 _RETURNS = 24.0  # of a point of a branch, for the expected work
 
 
 def periods(options: ManifoldsOptions, lanes: int) -> float:
     """Return the lane-periods of a run: a guess, as saddles and points are not known before."""
+    if options.dimension == 2:
+        return lanes * options.saddles * _REACHED * options.max_points * options.spacing
     points = options.saddles * options.period**2 * 4 * min(options.max_points, 2 * options.length / options.spacing)
     return lanes * (options.n_starts * options.period * 60.0 + 2 * _RETURNS * points)
 
 
 def check(options: ManifoldsOptions, setting: Setting) -> None:
-    """Check the box, names, and that there are curves to grow and a parameter to move."""
+    """Check the box, names, and that there are curves to grow and a parameter to move, or surfaces."""
     flow = setting.flow
+    if options.dimension == 2:
+        check_surfaces(options, setting)
     if flow.exponents - int(setting.autonomous) < 2:
         raise OptionError("manifolds are curves among other directions of the map, and it has one alone")
     if not options.box:
@@ -60,19 +66,12 @@ def check(options: ManifoldsOptions, setting: Setting) -> None:
 
 
 def run(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Return saddles, branches, crossings and tangencies of all lanes."""
-    sides = _sides(options, batch)
+    """Return saddles, branches, crossings and tangencies of all lanes, or surfaces."""
+    if options.dimension == 2:
+        return run_surfaces(options, batch, lanes)
+    sides = sides_of(options, batch)
     with lanes.stage(f"manifolds: saddles of {batch.count:,} lanes", 0):
-        orbits, size = find_orbits(batch, lanes, options.period, options.n_starts, options.seed, options.box)
-        p, scale = parameters_of(batch, orbits.lane), size[orbits.lane]
-        kept = np.zeros(len(orbits.lane), bool)
-        for side in sides.values():
-            germs = find_germs(batch, lanes, side.maps[0], p, orbits.points, scale, side.backward)
-            kept |= has_branches(germs, options.period)
-        if 1 in sides:
-            _check_inverse(batch, lanes, sides[1], orbits, size)
-    saddles = take_orbits(orbits, kept, options.saddles)
-    number = np.bincount(orbits.lane[kept], minlength=batch.count)
+        saddles, number, size = find_saddle_orbits(options, batch, lanes, sides)
     with lanes.stage(f"manifolds: {len(saddles.lane):,} saddles", periods(options, batch.count)):
         grown = {
             kind: grow_branches(batch, lanes, side, saddles, size, options.length, options.spacing, options.max_points)
@@ -89,31 +88,9 @@ def run(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Da
     return xr.Dataset(variables(options, batch, lanes, made), attrs=section_attrs(batch))
 
 
-def _sides(options: ManifoldsOptions, batch: LaneBatch) -> dict[int, Side]:
-    """Return the maps of the kinds that are asked for."""
-    sides = dict[int, Side]()
-    if options.kind != "stable":
-        sides[0] = side_of(batch.strobe, backward=False)
-    if options.kind != "unstable":
-        try:
-            sides[1] = side_of(batch.inverse, backward=True)
-        except TypeError as error:
-            raise OptionError(f"{error}; stable manifolds need that: take kind: unstable", "kind") from None
-    return sides
-
-
-def _check_inverse(
-    batch: LaneBatch, lanes: LaneRunner, side: Side, orbits: Saddles, size: Float[np.ndarray, "lanes d"]
-) -> None:
-    """Check that an inverse that a map says takes points of its orbits back."""
-    if not isinstance(batch.system, DiscreteMap) or not len(orbits.lane):
-        return
-    last = orbits.points[:, -1]
-    back = np.asarray(
-        lanes(section_map, (side.maps[0], np.int32(1)), (orbits.points[:, 0], parameters_of(batch, orbits.lane)))
-    )
-    if not np.max(np.abs(batch.chart.wrap(back - last)) / size[orbits.lane]) < _UNDOES:
-        raise OptionError("the map gives no inverse of itself: it does not take a point of an orbit back", "kind")
+def _table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
+    """Return the table of curves or of surfaces."""
+    return surface_table(data) if "surface_kind" in data else table(data)
 
 
 def _of_lane(grown: BranchSet, saddles: Saddles, lane: int) -> list[tuple[int, ManifoldBranch]]:
@@ -201,9 +178,9 @@ ANALYSIS = Analysis(
     ManifoldsOptions,
     periods,
     run,
-    numbers=lambda options: 3 * options.saddles * 4 * options.period * options.max_points,
+    numbers=lambda options: 3 * options.saddles * 4 * options.period * options.max_points,  # of surfaces about as many
     check=check,
-    table=table,
+    table=_table,
     price=price_of_orbits,
     brief={"period": 1, "n_starts": 4, "max_points": 16, "crossings": 0},
 )

@@ -28,11 +28,13 @@ KINDS = ("unstable", "stable")
 OWN_NAMES = (
     "saddle", "branch", "point", "crossing", "contact", "branch_kind", "branch_start", "branch_sign", "multiplier",
     "end", "arc_length", "deviation", "crossing_arc", "crossing_angle", "crossing_deviation", "crossing_from",
-    "crossing_to", "tangency", "tangency_error", "tangency_from", "tangency_to", "saddles", "status",
+    "crossing_to", "tangency", "tangency_error", "tangency_from", "tangency_to", "saddles", "status", "surface",
+    "surface_kind", "triangle", "corner", "triangles", "gaps", "eigenvalues", "eigenvalue", "part",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
-_SIZES = "in halves of the box"
+SIZES = "in halves of the box"
+"""What lengths of manifolds are measured in."""
 
 
 class Manifolds(NamedTuple):
@@ -103,11 +105,11 @@ def _of_branches(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner,
     return {
         **named_points(batch, lanes, orbit, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
         **named_points(batch, lanes, points, (*of, "point"), "_points", "along the branch"),
-        "arc_length": variable((*of, "point"), arc, f"arc length from the saddle, {_SIZES}"),
+        "arc_length": variable((*of, "point"), arc, f"arc length from the saddle, {SIZES}"),
         "multiplier": variable(of, multiplier, "multiplier along the branch"),
         "end": flag(of, end, "how the branch ends", ENDS),
         "deviation": variable(
-            of, deviation, f"largest distance of the branch from that of twice the steps and a shorter start, {_SIZES}"
+            of, deviation, f"largest distance of the branch from that of twice the steps and a shorter start, {SIZES}"
         ),
     }
 
@@ -125,9 +127,9 @@ def _of_crossings(
     meetings = crossings.meetings
     points = _filled((*shape, 2), at, crossings.points)
     columns = (
-        ("crossing_arc", meetings.arc, f"sum of the arc lengths of both branches, {_SIZES}", "1"),
+        ("crossing_arc", meetings.arc, f"sum of the arc lengths of both branches, {SIZES}", "1"),
         ("crossing_angle", crossings.angle, "angle between the branches, coordinates in halves of the box", "rad"),
-        ("crossing_deviation", deviation, f"how far twice the steps and a shorter start move the point, {_SIZES}", "1"),
+        ("crossing_deviation", deviation, f"how far twice the steps and a shorter start move the point, {SIZES}", "1"),
     )
     return {
         **named_points(batch, lanes, points, dims, "_crossings", "of points where manifolds cross, one of each orbit"),

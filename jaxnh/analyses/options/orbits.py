@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -285,11 +286,23 @@ class OrbitsOptions(Options):
         return self
 
 
+_SURFACES = {"length": 4.0, "spacing": 0.1, "max_points": 16384, "crossings": 0}
+"""Defaults of surfaces, where those of curves are others."""
+
+
 class ManifoldsOptions(Options):
     """Options of `manifolds`."""
 
     newton: ClassVar[bool] = True
 
+    dimension: Literal[1, 2] = Field(
+        default=1,
+        description="Dimension: curves of saddle orbits of the return map, or surfaces of equilibria of a flow",
+    )
+    of: Literal["equilibria", "cycles"] = Field(
+        default="equilibria",
+        description="Saddles that surfaces are of; cycles are those of the map of a section",
+    )
     period: int = Field(default=1, ge=1, le=64, description="Returns of the saddle orbits")
     n_starts: int = Field(default=64, ge=1, description="Random starts of Newton for saddles in each lane")
     seed: int = Field(default=0, ge=0, description="Seed of the random starts")
@@ -313,9 +326,28 @@ class ManifoldsOptions(Options):
         default=None, description="Parameter along which tangencies of the manifolds are located; nothing: none are"
     )
 
+    @property
+    def in_time(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Return whether there is no return map: equilibria are those of the flow."""
+        return self.dimension == 2 and self.of == "equilibria"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_surfaces(cls, given: Any) -> Any:
+        """Return what is given with other defaults of surfaces, which have many points."""
+        return {**_SURFACES, **given} if isinstance(given, Mapping) and given.get("dimension") == 2 else given
+
     @model_validator(mode="after")
     def _check(self) -> ManifoldsOptions:
         check_sides(self.box)
+        if self.dimension == 1 and self.of == "cycles":
+            raise rule("curves are of orbits of the return map anyway: leave it out, or take dimension: 2", "of")
+        if self.dimension == 2:
+            if self.crossings or self.tangency is not None:
+                message = "crossings and tangencies are of curves: leave it out, or take dimension: 1"
+                raise rule(message, "tangency" if self.tangency is not None else "crossings", "dimension")
+            if self.of == "equilibria" and self.period != 1:
+                raise rule("equilibria have no period: leave it out, or take of: cycles", "period", "of")
         if self.kind != "both" and self.tangency is not None:
             raise rule("tangencies are of stable and unstable manifolds: take kind: both", "tangency", "kind")
         return self
