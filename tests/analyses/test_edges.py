@@ -12,6 +12,8 @@ import jaxnh
 from jaxnh.exceptions import InputError
 from tests.helpers import heyoka_newton
 
+pytestmark = pytest.mark.usefixtures("one_core")
+
 BOX = {"x": (-1.5, 1.5), "v": (-3.0, 3.0)}
 
 

@@ -29,7 +29,7 @@ from tests.helpers.paths import ROOT
 from tests.helpers.taylor import REAL, integrator
 from tests.helpers.taylor import Parameters as TaylorParameters
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "one_core")
 
 TURN = 2 * np.pi
 
