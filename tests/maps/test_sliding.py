@@ -113,7 +113,7 @@ def dry_exactly(y, mu, w):
 
     def first(f, t):
         times = np.linspace(t, last, 20001)[1:]
-        values = np.array([f(s) for s in times])
+        values = f(times)
         sign = np.flatnonzero(values[1:] * values[:-1] < 0.0)
         return brentq(f, times[sign[0]], times[sign[0] + 1], xtol=1e-15) if len(sign) else None
 
