@@ -13,6 +13,8 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import dask.config
 import pytest
@@ -52,7 +54,8 @@ class WithoutHeyoka(importlib.abc.MetaPathFinder):
 if not importlib.util.find_spec("heyoka"):
     sys.meta_path.append(WithoutHeyoka())
 
-from jaxnh.engine.executor.lanes import LaneExecutor  # noqa: E402
+from jaxnh.engine.executor.lanes import TILE, LaneExecutor  # noqa: E402
+from jaxnh.engine.progress import Progress  # noqa: E402
 from tests.helpers.commands import Command, run_here, run_process  # noqa: E402
 from tests.helpers.kept_calibrations import calibrating_by, once, unless_given  # noqa: E402
 from tests.helpers.kept_programs import lanes_with_kept_programs  # noqa: E402
@@ -82,6 +85,21 @@ def quick_compiling(request: pytest.FixtureRequest) -> Iterator[None]:
 def uncalibrated(calibrate_once: None) -> Iterator[None]:
     """For modules that look at no error of steps that their configs give: none is measured, by runs in this process."""
     with calibrating_by(unless_given):
+        yield
+
+
+@pytest.fixture(scope="module")
+def one_core(request: pytest.FixtureRequest) -> Iterator[None]:
+    """For modules whose quick tests have sessions of few lanes: no lanes but theirs fill tiles up on a second core.
+
+    Bits are those of any number of cores. Slow tests have sessions as users have them.
+    """
+
+    def executor(progress: Progress, devices: list[Any], tile: int = TILE) -> LaneExecutor:
+        return lanes_with_kept_programs(progress, devices[:1], tile)
+
+    few = executor if request.config.getoption("markexpr") == "not slow" else LaneExecutor
+    with mock.patch("jaxnh.engine.session.LaneExecutor", few):
         yield
 
 

@@ -554,7 +554,7 @@ NOT_ISOLATED = "cycles and equilibria of a flow with constraints are not isolate
 NOT_SMOOTH = "collocation is of smooth motions, without jumps or switches"
 ONE_PARAMETER = "curves are followed over two axes, and the sweep has {}"
 MU = "mu: {start: -0.28, stop: 0.28, count: 8}"
-STEPS = "accuracy: {solver: tsit5, steps: 80}"
+STEPS = "accuracy: {solver: dopri8, steps: 16}"
 
 
 def beyond(values):
@@ -706,7 +706,7 @@ KINDS = {
         starts_between("x", 1.2, 1.4) | {"manifolds": {"dimension": 2, "box": {"x": (1.2, 1.4)}, "n_starts": 4}},
     ),
     "steps of a lane's own": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 160}",
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 64}",
         MOEBIUS
         | dict.fromkeys(
             ("reversal", "manifolds"), "the flow takes steps of a lane's own (rodas5p), which go forward alone"
@@ -858,7 +858,7 @@ KINDS = {
     ),
     "the free particle": Kind(
         "system: {constraint: free}\ninitial: {x1: 0.1, x2: 0.1, y1: 0.1, y2: 0.9}\n"
-        "sweep: {b: {start: 0.2, stop: 0.28, count: 5}}\naccuracy: {solver: tsit5, steps: 100}",
+        "sweep: {b: {start: 0.2, stop: 0.28, count: 5}}\naccuracy: {solver: dopri8, steps: 16}",
         {
             **dict.fromkeys(
                 ("portrait", "poincare", "diagram"), follows(paper_equations.free, ("x1", "x2", "y1", "y2"))

@@ -23,7 +23,7 @@ from jaxnh.engine.cache import calibrations
 from jaxnh.engine.cache.calibrations import Decision
 from jaxnh.engine.compute import batch_of, executor_for, numerical_plan, solver_plan
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.engine.executor.tiles import inner_trip_count
+from jaxnh.engine.executor.tiles import count_of, inner_trip_count
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level
 from jaxnh.exceptions import AccuracyError
@@ -72,7 +72,8 @@ def calibrate(
             raise AccuracyError(f"{experiment.label}: accuracy.solver: {error}") from None
     try:
         solver = SOLVERS[asked.solver] if asked.solver else None
-        tile = cost_model.lanes_a_tile(experiment.sweep.lanes)
+        sampled = sum(count_of(row.start) for row in rows)  # random starts among them, more than the sweep has lanes
+        tile = cost_model.lanes_a_tile(max(sampled, experiment.sweep.lanes))
         few = lanes.in_tiles(tile, tile) if tile < lanes.tile else lanes  # whose programs analyses share
         return Calibration(rows, few, experiment.precision, target, asked.sizes, solver)
     except AccuracyError as error:

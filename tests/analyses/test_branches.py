@@ -20,6 +20,8 @@ from tests.helpers import taylor
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
+pytestmark = pytest.mark.usefixtures("one_core")
+
 
 def pitchfork(folder, sweep="mu: {start: -0.5, stop: 0.7, count: 12}", options="{max_period: 2, transient: 64}"):
     initial = f"{{x: 0.3{'' if 'z:' in sweep else ', z: 0.1'}}}"

@@ -9,6 +9,8 @@ import jaxnh
 from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
 from jaxnh.plotting.descriptions import describe
 
+pytestmark = pytest.mark.usefixtures("one_core")
+
 
 def carriers(data):
     return jaxnh.labels(data["carrier"]).to_numpy().ravel().tolist()

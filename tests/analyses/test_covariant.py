@@ -11,6 +11,7 @@ from jaxnh.analyses.covariant.hyperbolicity import BOUNDED, SPLITS, TANGENT, jud
 from jaxnh.analyses.covariant.vectors import covariant_vectors, smallest_angles
 from tests.flows import lorenz
 
+pytestmark = pytest.mark.usefixtures("one_core")
 GOLDEN = np.log((3.0 + np.sqrt(5.0)) / 2.0)
 
 

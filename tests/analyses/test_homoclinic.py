@@ -18,7 +18,7 @@ from jaxnh.orbits.bifurcations.connection_points import POINTS, TYPES
 from tests.flows import connections
 from tests.flows.lorenz import lorenz
 from tests.helpers import contract
-from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
+from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
 
 STEPS = "accuracy: {solver: tsit5, steps: 20}\n"
 
@@ -33,7 +33,7 @@ def experiment(folder, flow, initial, sweep, options, section=""):
 def result_of(*arguments):
     asked = experiment(*arguments)
     session = session_of(asked)
-    session._lanes = lanes_with_kept_programs(None, session._lanes.devices[:1], 32, QUICKLY_COMPILED)
+    session._lanes = lanes_with_kept_programs(None, session._lanes.devices[:1], 32)
     groups = session.tree()
     units = asked.flow().labels.units
     for name, group in groups.children.items():

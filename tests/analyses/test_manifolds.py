@@ -11,6 +11,7 @@ from scipy.optimize import fsolve
 import jaxnh
 from jaxnh.exceptions import InputError
 
+pytestmark = pytest.mark.usefixtures("one_core")
 GOLDEN = 0.5 * (1.0 + np.sqrt(5.0))
 FORNAESS_GAVOSTO = 1.392419807915
 """A tangency of the manifolds of Henon's fixed point at b = 0.3 (Fornæss and Gavosto, Ergod. Th. Dyn. Sys. 12, 1992)."""

@@ -11,7 +11,9 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.batch import broadcast_start
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
+from jaxnh.engine.plan import calibrate
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate, section_map
@@ -206,3 +208,14 @@ def test_random_starts_are_among_the_samples(analysis):
     missing = [np.sum(apart(image(strobe, 1, u, {"b": b}), exact) > target) for strobe in maps]
     assert missing[0] < 16
     assert missing[1] > 100
+
+
+@pytest.mark.parametrize(("starts", "tile"), [(3, 8), (100, 32), (1000, 256)])
+def test_tiles_are_for_all_samples(starts, tile):
+    """A single lane of a sweep has random starts, of which each is a sample."""
+    analyses = {"basins": {"n_starts": starts, "transient": 32, "box": {"x1": [-1.0, 1.0]}}}
+    content = {"system": {"constraint": "constant_speed"}, "sweep": {"b": {"values": [5.0]}}, "analyses": analyses}
+    experiment = Experiment.from_dict(content)
+    with mock.patch("jaxnh.engine.plan.Calibration") as made:
+        calibrate(experiment, experiment.axes, LaneExecutor(devices=jax.devices()[:1]))
+    assert made.call_args.args[1].tile == tile

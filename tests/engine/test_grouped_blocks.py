@@ -129,11 +129,14 @@ def test_what_is_computed_together():
 @pytest.mark.parametrize("tile", [45, pytest.param(100, marks=pytest.mark.slow)])
 def test_tiles_of_several_rows(tile):
     """The bits of tiles of one value of d each, wherever a tile ends; an axis of periods that differ has no such tiles."""
-    options = {"lyapunov": {"transient": 16, "periods": 16}, "period": {"transient": 16, "max_period": 4}}
+    options = {
+        "lyapunov": {"transient": 16, "periods": 16, "exponents": 1},
+        "period": {"transient": 16, "max_period": 4},
+    }
     content = {"system": {"constraint": "disturbed_speed"}, "accuracy": {"solver": "blanes_moan6", "steps": 40}}
     sweep = {"b": {"start": 5.2, "stop": 5.6, "count": 20}, "d": {"start": 0.1, "stop": 0.2, "count": 5}}
     experiment = Experiment.from_dict({**content, "sweep": sweep, "analyses": options})
-    requested, axes, lanes = experiment.requested(), experiment.axes, lanes_with_kept_programs()
+    requested, axes, lanes = experiment.requested(), experiment.axes, lanes_with_kept_programs(tile=64)
     plan = Plan(SOLVER, STEPS, False, 1e-6)
     found = []
     for lanes_of_tile in (20, tile):

@@ -17,6 +17,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.kernels import cuda
 from jaxnh.engine.kernels.source import shapes_of
 from tests.helpers.host_kernels import COMPILER, HeldPrograms, run_kernel
+from tests.helpers.kept_calibrations import calibrating_by, unless_given
 
 pytestmark = pytest.mark.skipif(
     COMPILER is None, reason="kernels are tried on the host by a C++ compiler, which is missing"
@@ -197,12 +198,14 @@ def test_a_card_computes_what_the_host_does():
         "analyses": {"lyapunov": {"transient": 8, "periods": 16, "exponents": 1}},
         "system": {"constraint": "disturbed_speed"},
         "sweep": {"b": {"start": 5.2, "stop": 5.6, "count": 3}, "d": {"start": 0.0, "stop": 0.1, "count": 5}},
+        "accuracy": {"solver": "blanes_moan6", "steps": 60},
     }
-    host = jaxnh.run(particle(**chart))
-    with (
-        mock.patch.object(LaneExecutor, "on_card", property(lambda self: True)),
-        mock.patch.object(executor, "_ON_CARD", (16, 64)),
-    ):
-        card = jaxnh.run(particle(**chart))
+    with calibrating_by(unless_given):
+        host = jaxnh.run(particle(**chart))
+        with (
+            mock.patch.object(LaneExecutor, "on_card", property(lambda self: True)),
+            mock.patch.object(executor, "_ON_CARD", (16, 64)),
+        ):
+            card = jaxnh.run(particle(**chart))
     for name in ("exponents", "exponents_error"):
         np.testing.assert_allclose(card["lyapunov"][name], host["lyapunov"][name], rtol=1e-6, atol=1e-9)

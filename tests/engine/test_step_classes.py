@@ -92,7 +92,7 @@ def any_size(monkeypatch):
 
 @pytest.fixture(scope="module")
 def lanes():
-    return lanes_with_kept_programs()
+    return lanes_with_kept_programs(None, jax.devices()[:1])
 
 
 class CountingTiles:
@@ -304,7 +304,7 @@ def written(experiment, path, check=lambda: None, **how):
 
 
 @pytest.mark.usefixtures("any_size")
-@pytest.mark.parametrize("kind", SWEEPS)
+@pytest.mark.parametrize("kind", ["clock", pytest.param("time", marks=pytest.mark.slow), "section", "two axes"])
 def test_files_are_the_same_in_parts_and_resumed(kind, tmp_path):
     """Whatever runs are cut into, each lane keeps its class and its bits."""
     experiment = SWEEPS[kind]()

@@ -250,6 +250,7 @@ def zoom(page, *words, left=0.4, right=0.6):
     whole(page, *words)
 
 
+@pytest.mark.slow  # `test_live` computes such a view, and a chart of a result goes back and forth in a quick test below
 def test_open_zoom_and_go_back(tab, address):
     page = tab(address)
     whole(page)
@@ -587,7 +588,7 @@ def test_a_loop_in_an_edited_file_is_said_at_its_line_and_the_server_goes_on(tab
         assert ended(process) == 0
 
 
-def test_a_large_chart_is_shown_by_blocks_of_lanes_and_zoomed_down_to_lanes(tab, sites):
+def test_a_large_chart_is_shown_by_blocks_of_lanes_zoomed_down_to_lanes_and_goes_back(tab, sites):
     page = tab(sites["tiles"])
     whole(page, f"{TILES:,} × {TILES:,} lanes, 2 × 2 a pixel")
     shot(page, "tiles")
@@ -600,6 +601,14 @@ def test_a_large_chart_is_shown_by_blocks_of_lanes_and_zoomed_down_to_lanes(tab,
     page.get_by_text("least period").last.wait_for()
     assert low <= float(facts(page)["b"]) <= high
     shot(page, "tiles_zoomed")
+    zoomed = page.url
+    page.get_by_role("button", name="Whole range").click()
+    page.wait_for_function("zoomed => location.href != zoomed", arg=zoomed)
+    assert view(page) == (0.0, 1.0)
+    page.get_by_role("button", name="Back").click()
+    page.wait_for_function("zoomed => location.href == zoomed", arg=zoomed)
+    page.get_by_role("button", name="Forward").click()
+    page.wait_for_function("zoomed => location.href != zoomed", arg=zoomed)
 
 
 @pytest.mark.slow  # an atlas has them over its plane, and `test_overlays` is quick

@@ -41,12 +41,12 @@ def once(calibrate: Calibrate) -> Calibrate:
     return calibrate_once
 
 
-def unless_given(calibrate: Calibrate) -> Calibrate:
-    """`calibrate`, but for experiments that give their steps: no error is measured of those, nor sizes, and 1e-6 is said."""
+def unless_given(calibrate: Calibrate, error: float = 1e-6) -> Calibrate:
+    """`calibrate`, but for experiments that give their steps: no error is measured of those, nor sizes, and this is said."""
 
     def calibrate_unless_given(experiment: Experiment, *others: Any, **named: Any) -> Calibration:
         if experiment.accuracy.solver:
-            return cast(Calibration, SimpleNamespace(error=lambda *_: 1e-6, sizes={}))
+            return cast(Calibration, SimpleNamespace(error=lambda *_: error, sizes={}))
         return calibrate(experiment, *others, **named)
 
     return calibrate_unless_given

@@ -24,7 +24,7 @@ from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.helpers.cases import some_slow
 from tests.helpers.one_lane import image_after, state_after, states_after
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "one_core")
 
 TURN = 2 * np.pi
 

@@ -17,7 +17,7 @@ from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.helpers.one_lane import state_after, states_after
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "one_core")
 
 TURN = 2 * np.pi
 EPS = np.finfo(float).eps
@@ -113,7 +113,7 @@ def dry_exactly(y, mu, w):
 
     def first(f, t):
         times = np.linspace(t, last, 20001)[1:]
-        values = np.array([f(s) for s in times])
+        values = f(times)
         sign = np.flatnonzero(values[1:] * values[:-1] < 0.0)
         return brentq(f, times[sign[0]], times[sign[0] + 1], xtol=1e-15) if len(sign) else None
 

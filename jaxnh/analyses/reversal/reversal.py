@@ -64,7 +64,7 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import AdaptiveMethod
 from jaxnh.systems.flow import status
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
-from jaxnh.systems.reversal import describe_reversal
+from jaxnh.systems.reversal import declared_reversal, describe_reversal
 
 KINDS = ("conservative", "dissipative", "mixed", "undecided", "irreversible", "failed")
 """Meanings of the flags 0 to 5 of `kind`."""
@@ -89,11 +89,16 @@ def periods(options: ReversalOptions, lanes: int) -> float:
 
 
 def check(options: ReversalOptions, setting: Setting) -> None:
-    """Check that the flow can be followed backwards."""
+    """Check that the flow can be followed backwards, and that what the system says of that can be read.
+
+    Raises:
+        InputError: what the system says is no reversal.
+    """
     if not setting.flow.continuous:
         raise OptionError("a map is not followed backwards; a reversal is one of a flow")
     if isinstance(setting.flow, PiecewiseSmooth):
         raise OptionError("motions with jumps or switches are not followed backwards")
+    declared_reversal(setting.flow)
     if options.max_period and len(setting.axes) > 1:
         raise OptionError("symmetric orbits are looked for along one axis of a sweep", "max_period")
     shared = [axis.name for axis in setting.axes if axis.kind == "shared"]

@@ -71,7 +71,7 @@ class DeviceTiles:
     def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
         """The tiles of a call; see `Tiles`."""
         devices = self._devices_of(call)
-        chunk, count, programs = call.tile * len(devices), count_of(call.lanes), list[tuple[Any, Any]]()
+        chunk, count, programs = call.tile * len(devices), count_of(call.lanes), list[tuple[Any, Any, float]]()
         for number in range(first, count, chunk):
             part = jax.tree.map(lambda leaf, number=number: _pad(leaf[number : number + chunk], chunk), call.lanes)
             left = min(chunk, count - number)
@@ -81,7 +81,9 @@ class DeviceTiles:
                 results = jax.tree.map(lambda leaf, left=left: leaf[:left], results)
             yield number, results
 
-    def _follow(self, call: Call, part: Any, programs: list[tuple[Any, Any]], asked: tuple[Any, ...]) -> list[Any]:
+    def _follow(
+        self, call: Call, part: Any, programs: list[tuple[Any, Any, float]], asked: tuple[Any, ...]
+    ) -> list[Any]:
         """Results of all links for one tile on each device; their programs are looked for with the first."""
         (carried, *others), devices, kept = part, self._devices_of(call), list[Any]()
         if len(call.links) > 1:
@@ -89,14 +91,15 @@ class DeviceTiles:
         for k, link in enumerate(call.links):
             if k == len(programs):
                 program = self._program(link, (carried, *others), devices)
-                programs.append((program, self._on_devices(link.shared, devices)))
-            program, placed = programs[k]
+                iterations = link.periods and link.periods * inner_trip_count(link.shared)
+                programs.append((program, self._on_devices(link.shared, devices), iterations))
+            program, placed, iterations = programs[k]
             began = time.perf_counter()
             result = jax.block_until_ready(program(placed, jax.tree.leaves((carried, *others)), *asked))
             seconds = time.perf_counter() - began
             self._accounts.run_seconds += seconds
-            if iterations := link.periods and link.periods * count_of(part) * inner_trip_count(link.shared):
-                self._accounts.fastest = min(self._accounts.fastest, seconds / iterations)
+            if iterations:
+                self._accounts.fastest = min(self._accounts.fastest, seconds / (iterations * count_of(part)))
             carried, read = link.keep(result)
             kept.append(read)
         return jax.tree.map(np.asarray, kept)
