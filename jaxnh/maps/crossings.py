@@ -210,12 +210,16 @@ class EventStrobe(ReturnMap):
         ahead = advance(partly, search.carried)
         after = _state_of(ahead)
         rate, finite = self.system.rate(after, p), _finite(after)
-        heights = self.system.height(before), self.system.height(after)
+        heights = self.system.heights(before, after)
         ends = heights[0], search.rate * self.step, heights[1], rate * self.step
-        rising = jnp.ones_like(search.side) if self.system.direction != "both" else -search.side
+        left = search.side
+        if self.system.turn:  # the side of another turn is not that of this one
+            other = (search.steps > 0) | (jnp.abs(heights[0]) > 0.25 * self.system.turn)
+            left = jnp.where(other, jnp.where(heights[0] >= 0.0, 1.0, -1.0), left)
+        rising = jnp.ones_like(left) if self.system.direction != "both" else -left
 
         seeking = search.shots == 0
-        side, low, high, seen = crossing_between(ends, search.side, either=self.system.direction == "both")
+        side, low, high, seen = crossing_between(ends, left, either=self.system.direction == "both")
         seen &= seeking & finite
         straight = heights[0] / (heights[0] - heights[1])
         guess = jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
@@ -246,9 +250,10 @@ class EventStrobe(ReturnMap):
 
     def _side(self, state: State, rate: Array) -> Array:
         """The side that a motion leaves for."""
+        height = self.system.height(state)
         if self.backward:
-            return side_of_section(self.system, state, -rate, -jnp.asarray(self.step))
-        return side_of_section(self.system, state, rate, self.step)
+            return side_of_section(self.system, height, -rate, -jnp.asarray(self.step))
+        return side_of_section(self.system, height, rate, self.step)
 
     def _on_section(self, ahead: Carried, search: _Search, p: Parameters) -> tuple[Carried, tuple[Array, ...]]:
         """State and tangents moved along the flow onto the section, and how much later each arrives."""
@@ -276,14 +281,14 @@ class EventStrobe(ReturnMap):
         return Crossing(state, jnp.where(crossed, ended.t, jnp.nan), reason)
 
 
-def side_of_section(section: Section, state: State, rate: Array, step: ArrayLike) -> Array:
+def side_of_section(section: Section, height: Array, rate: Array, step: ArrayLike) -> Array:
     """The side that a motion leaves for, of the section or from beside it.
 
     Args:
+        height: where it leaves.
         rate: of the height.
         step: length of a step.
     """
-    height = section.height(state)
     near = _ON_SECTION * (abs(section.value) + jnp.abs(rate) * step)
     return jnp.sign(jnp.where(jnp.abs(height) < near, rate, height))
 
@@ -299,14 +304,14 @@ def crossing_between(
 
     Args:
         ends: heights and their rates, for a whole step, before it and after it.
-        side: +1 above, −1 below, before it.
+        side: +1 above, −1 below, before it; 0 on it, at rest across it.
         either: whether a crossing down is one as well.
     """
     now = jnp.where(ends[2] >= 0.0, 1.0, -1.0)
     turn = ends[1] / (ends[1] - ends[3])
     turns = ends[1] * ends[3] < 0.0
     away = turns & (ends[1] * side > 0.0)  # first away from the section, then towards it
-    crossed = side != now
+    crossed = side * now < 0.0
     touched = ~crossed & turns & ~away & (_cubic(ends, turn)[0] * side < 0.0)
     low, high = jnp.where(crossed & away, turn, 0.0), jnp.where(touched, turn, 1.0)
     if not either:

@@ -44,7 +44,7 @@ class _WithSection(PiecewiseSmooth):
 
     def heights(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
         """Heights of the flow, then that above the section."""
-        return *self.as_it_is.heights(t, y, p), self.section.height(y)
+        return *self.as_it_is.heights(t, y, p), self.section.smooth_height(y)
 
     def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """Time derivative of a state by a branch of the field of the flow."""
@@ -176,7 +176,7 @@ class JumpingSection(ReturnMap):
             p, by_p, volume=begun.log_volume is not None
         )
         march = lane.begin(begun, grid)
-        side = side_of_section(self.system, start.state, march.rate[-1], self.step)
+        side = side_of_section(self.system, march.height[-1], march.rate[-1], self.step)
         march = march._replace(side=(*march.side[:-1], side))
         first = _Approach(march, start.t, by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])
 
@@ -188,7 +188,7 @@ class JumpingSection(ReturnMap):
             met = (after.events > before.events) & (before.sought == len(before.side) - 1)
             met &= after.side[-1] != before.side[-1]
             if self.system.direction != "both":
-                met &= after.side[-1] > 0.0
+                met &= after.side[-1] * self.system.slope(after.moving.state) > 0.0
             met &= ~after.lost
             moving, later = self._on_section(after.moving, lane.field(after), search.leaving, after.rate[-1])
             again = after._replace(

@@ -8,6 +8,7 @@ and Morriss, Phys. Rev. E 53 (1996) R5545), and no orbit is attracting.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -69,10 +70,39 @@ class Section(eqx.Module):
             return y[0][self.number]
         return sum(weight * x for weight, x in zip(self.normal, y[0], strict=True) if weight)
 
+    @property
+    def turn(self) -> float:
+        """What values on the section repeat after: 2π of an angle, or of angles with whole weights; else zero."""
+        normal = self.normal or tuple(float(k == self.number) for k in range(self.number + 1))
+        weights = [(weight, angle) for weight, angle in zip(normal, self.flow.chart.angles, strict=False) if weight]
+        if not all(angle and float(weight).is_integer() for weight, angle in weights):
+            return 0.0
+        return 2.0 * math.pi * math.gcd(*(int(weight) for weight, _ in weights))
+
     def height(self, y: State) -> Number:
         """Signed distance of a state from the section: above zero after a passage up (down if that is wanted)."""
-        above = self.across(y) - self.value
+        return self.heights(y, y)[0]
+
+    def heights(self, before: State, after: State) -> tuple[Number, Number]:
+        """Heights at the ends of a step of less than a whole turn; of an angle above the turn that is nearest to it."""
+        ends = self.across(before) - self.value, self.across(after) - self.value
+        if self.turn:
+            whole = self.turn * jnp.round(0.5 * (ends[0] + ends[1]) / self.turn)
+            ends = ends[0] - whole, ends[1] - whole
+        return (-ends[0], -ends[1]) if self.direction == "down" else ends
+
+    def smooth_height(self, y: State) -> Number:
+        """A smooth function with the zeros of the height; of an angle it rises on one turn and falls on the next."""
+        if not self.turn:
+            return self.height(y)
+        above = self.turn / np.pi * jnp.sin(np.pi / self.turn * (self.across(y) - self.value))
         return -above if self.direction == "down" else above
+
+    def slope(self, y: State) -> Number:
+        """Slope of the smooth height over the height, on the section 1 or −1."""
+        if not self.turn:
+            return jnp.ones_like(self.across(y))
+        return jnp.cos(np.pi / self.turn * (self.across(y) - self.value))
 
     def rate(self, y: State, p: Parameters) -> Number:
         """Time derivative of the height of a state of the flow."""

@@ -7,7 +7,7 @@ own. How such motions are integrated is in `maps.jumping`, and how surfaces and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -62,11 +62,13 @@ class PiecewiseSmooth(FirstOrder):
         jumps: direction in which each wall is passed.
         switches: number of surfaces where the field changes.
         holds: for each wall, whether motions may rest on it, and for each surface, whether they may slide along it.
+        forgets: whether a jump takes different states to the same one, as one that sets a coordinate does.
     """
 
     jumps: tuple[str, ...] = eqx.field(static=True)
     switches: int = eqx.field(static=True)
     holds: tuple[bool, ...] = eqx.field(static=True)
+    forgets: bool = eqx.field(static=True)
 
     @property
     def holding(self) -> bool:
@@ -75,8 +77,8 @@ class PiecewiseSmooth(FirstOrder):
 
     @property
     def loses_rank(self) -> bool:
-        """Return whether motions may be held, where different ones become the same."""
-        return self.holding
+        """Return whether motions may be held, or jumps forget, where different ones become the same."""
+        return self.holding or self.forgets
 
     @property
     def needs_events(self) -> bool:
@@ -262,7 +264,15 @@ def piecewise_smooth(
         jumps,
         len(definition.get("switches", ())),
         (*resting, *sliding),
+        any(_forgets(jump["then"], len(definition["coordinates"])) for jump in definition.get("jumps", ())),
     )
+
+
+def _forgets(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: int) -> bool:
+    """Return whether the derivative of a jump is singular at a state in no special place."""
+    state = np.random.default_rng(0).uniform(0.5, 1.5, dimension)
+    change = jax.jacfwd(lambda y: jnp.stack([jnp.asarray(x, jnp.float64) for x in then(tuple(y), 0.1)]))(state)
+    return bool(np.linalg.matrix_rank(np.asarray(change)) < dimension)
 
 
 def _select(condition: Number, one: HeldMotion, other: HeldMotion) -> HeldMotion:

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array
 
 from jaxnh.systems.state import Number, Vector
@@ -122,9 +123,10 @@ def is_on(held: HeldMotion, y: Vector, unit: Number) -> Array:
 
 
 def without_rounding(one: Number, other: Number) -> Number:
-    """The sum of two numbers, zero where it is what their rounding leaves."""
+    """The sum of two numbers, zero where it is what their rounding leaves, with the derivatives of the sum."""
     total = one + other
-    return jnp.where(jnp.abs(total) <= _CANCELLED * (jnp.abs(one) + jnp.abs(other)), 0.0, total)
+    rounding = jnp.abs(total) <= _CANCELLED * (jnp.abs(one) + jnp.abs(other))
+    return total - lax.stop_gradient(jnp.where(rounding, total, 0.0))
 
 
 def _value_and_slope(function: Height, t: Number, y: Vector, rates: Vector, by_t: float) -> tuple[Number, Number]:

@@ -99,8 +99,7 @@ class SwitchedMechanics(PiecewiseSmooth):
     @property
     def loses_rank(self) -> bool:
         """Return whether motions may be held, constraints begin, or jumps forget, where different ones become one."""
-        jumps = self.definition({}).get("jumps", ())
-        return self.holding or bool(self.switched) or any("then" in jump for jump in jumps)
+        return super().loses_rank or bool(self.switched)
 
     @property
     def needs_events(self) -> bool:
@@ -327,6 +326,7 @@ def switched_mechanics(
             *(bool(switch.get("sliding", False)) for switch in switches),
             *(False,) * len(switched),
         ),
+        any("then" in jump for jump in jumps),
         positions=k,
         ignorable=mechanics.ignorable,
         constraints=mechanics.constraints,

@@ -39,6 +39,27 @@ def test_a_linear_oscillator_s_exponents_are_minus_half_its_damping():
     assert np.all(np.abs(usual["exponents"][:, 0].to_numpy() - expected) < 1e-6)
 
 
+SLOW = """
+def system(rate=0.03):
+    def rhs(y, t):
+        x, v = y
+        return -rate * x, -v
+
+    return {"rhs": rhs, "coordinates": ("x", "v")}
+"""
+
+
+def test_a_motion_that_comes_to_rest_slowly_has_no_exponent_zero():
+    """Exponents are −0.03 and −1: where rest is not reached, the speed falls in each block by e^(−0.03)."""
+    text = "system: {file: slow.py}\ninitial: {x: 1.0, v: 1.0}\nsweep: {rate: {values: [0.03]}}\n"
+    text += "accuracy: {solver: dopri8, steps: 4}\nanalyses: {lyapunov: {}}\n"
+    session = jaxnh.Session(jaxnh.Experiment.from_text(text, SLOW))
+    data = session.run("lyapunov", {"transient": 32, "periods": 4 * BLOCKS, "exponents": 2, "method": "averages"})
+    gap = np.abs(data["exponents"][0].to_numpy() - [-0.03, -1.0])
+    assert np.all(gap <= data["exponents_error"][0].to_numpy() + 1e-6)
+    assert gap[0] < 1e-6
+
+
 STRONGLY_CONTRACTING = """
 import jax.numpy as jnp
 

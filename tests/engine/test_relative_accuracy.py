@@ -26,6 +26,7 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed
+from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.helpers.batches import calibrated
 from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs
@@ -314,3 +315,35 @@ def test_the_file_says_what_errors_are_relative_to(tmp_path):
     sizes = json.loads(jaxnh.open_result(tmp_path / "own.h5").attrs["sizes_of_motion"])
     assert sizes["v"] == 2.5
     assert sizes["x"] == pytest.approx(1.0, rel=0.05)
+
+
+# ---- lanes that say nothing of the steps
+
+
+def test_lanes_that_grow_without_bound(lanes):
+    """What a lane has grown to is no size of a motion: errors are relative to what all began with, or so."""
+
+    def growth(rate=1.0):
+        return {"rhs": lambda y, t: (rate * y[0] + 0.0 * jnp.cos(t),), "coordinates": "y", "period": 1.0}
+
+    flow = first_order(growth, {"rate": 1.0}, ("rate",))
+    calibration = calibrated(flow, flow.start({"y": 1.0}), [-0.05, 0.5, 2.0], lanes, name="rate")
+    plan = calibration.cheapest(TARGET)
+    strobe = make_return_map(flow, plan.solver, plan.steps)
+    for rate in (-0.05, 2.0):
+        end = strobe(flow.start({"y": 1.0}), {"rate": rate}).y[0]
+        assert abs(float(end) - math.exp(rate)) <= plan.error_estimate * calibration.sizes["y"]
+    assert calibration.sizes["y"] < 1e4
+
+
+def test_a_lane_that_chatters_is_not_stiff(lanes):
+    """A ball that comes to rest by infinitely many impacts within a period is left out, beside one that never does."""
+
+    def ball(r=1.0):
+        bounce = {"when": lambda y, t: y[0], "direction": "down", "then": lambda y, t: (y[0], -r * y[1])}
+        rhs = lambda y, t: (y[1], -1.0 + 0.0 * jnp.cos(t))  # noqa: E731
+        return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * np.pi, "jumps": (bounce,)}
+
+    flow = piecewise_smooth(ball, {"r": 1.0}, ("r",))
+    calibration = calibrated(flow, flow.start({"x": 1.0, "v": 0.0}), [0.5, 1.0], lanes, name="r")
+    assert calibration.floor <= TARGET

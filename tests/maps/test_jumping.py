@@ -10,6 +10,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import jaxnh
+from jaxnh.analyses.exponents.tangent_growth import advance, begin
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_parts, make_return_map
@@ -526,3 +527,20 @@ def test_trip_counts_of_stacked_maps_of_an_array_field():
     system = piecewise_smooth(with_switches(define, values), values, ("a",))
     grids = np.linspace(0.0, 1.0, 5) + np.arange(3.0)[:, None]
     assert jumping_strobe(system, verner9, grids).trip_counts == jumping_strobe(system, verner9, grids[0]).trip_counts
+
+
+def test_a_jump_that_sets_a_coordinate():
+    """u' = u/5 is set to 0.3 when the clock x strikes one, so that a tangent along it vanishes, as rank is lost."""
+
+    def clock(then):
+        jumps = ({"when": lambda y, t: y[0] - 1.0, "direction": "up", "then": then},)
+        return {"rhs": lambda y, t: (1.0 + 0.0 * y[0], 0.2 * y[1]), "coordinates": ("x", "u"), "jumps": jumps}
+
+    shifts = piecewise_smooth(lambda: clock(lambda y, t: (y[0] - 1.0, y[1] - 0.3)), {})
+    sets = piecewise_smooth(lambda: clock(lambda y, t: (y[0] - 1.0, 0.0 * y[1] + 0.3)), {})
+    assert (shifts.loses_rank, sets.loses_rank) == (False, True)
+    begun = begin(sets, sets.start({"x": np.float64(0.5), "u": np.float64(0.3 * np.exp(0.1))}), 1)
+    strobes = make_parts(sets, tsit5, 2, 1)
+    along, across = jax.jit(lambda growth: advance(strobes, None, 3, 0.0, growth, {}).logs)(begun)
+    assert np.isneginf(across)
+    assert along == pytest.approx(0.0, abs=1e-6)  # after each period the state is the same

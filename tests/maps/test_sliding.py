@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 import jaxnh
 from jaxnh.maps.build import make_parts, make_return_map
 from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.protocol import Tangent
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO
@@ -200,6 +201,25 @@ def test_exponents_of_dry_friction():
 
 
 # ---- surfaces in more dimensions
+
+
+def test_tangents_at_an_equilibrium_on_a_surface():
+    """Halfway between (1 − 2x, −1) above and (−1 − x, 1) below x' = −3x/2, whose rate at 0 is the rest of two numbers."""
+
+    def pseudo():
+        def rhs(y, t, side):
+            above, below = (1.0 - 2.0 * y[0], -1.0 + 0.0 * y[1]), (-1.0 - y[0], 1.0 + 0.0 * y[1])
+            return tuple(0.5 * (a + b + side[0] * (a - b)) for a, b in zip(above, below, strict=True))
+
+        return {"rhs": rhs, "coordinates": ("x", "h"), "switches": ({"on": lambda y, t: y[1], "sliding": True},)}
+
+    flow = piecewise_smooth(pseudo, {})
+    state = jax.tree.map(jnp.asarray, flow.start({"x": 0.0, "h": 0.0}))
+    tangent = jax.tree.map(jnp.zeros_like, state)._replace(y=(jnp.float64(1.0), jnp.float64(0.0)))
+    strobe = make_return_map(flow, dopri8, 8)
+    pushed = jax.jit(lambda z, dz: strobe.pushforward(z, {}, (Tangent(dz),), volume=False))(state, tangent)
+    assert [float(x) for x in pushed.state.y] == [0.0, 0.0]
+    assert [float(x) for x in pushed.tangents[0].state.y] == pytest.approx([np.exp(-1.5), 0.0], abs=1e-9)
 
 
 def crossed(k=0.3):

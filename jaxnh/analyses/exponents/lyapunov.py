@@ -57,6 +57,7 @@ from jaxnh.systems.flow import NOT_FINITE, status
 
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
+_SLOWS = -1.0  # of the same, where it falls in each block: the motion comes to rest slowly
 _COMPARED = 16  # periods in which a smooth average is held against one with twice the steps
 _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 _COMMENT = (
@@ -285,7 +286,8 @@ def _dataset(
         error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
     attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
     if batch.flow.autonomous:
-        rests = (spectrum.mean[:, 0] * averaged < _AT_REST) | (spectrum.source == SOURCES.index("equilibrium"))
+        decline, falls = spectrum.mean[:, 0] * averaged, ~np.any(averages.rates[:, :, 0] >= 0.0, axis=1)
+        rests = (decline < _AT_REST) | (falls & (decline < _SLOWS)) | (spectrum.source == SOURCES.index("equilibrium"))
         lost = ~(spectrum.mean[:, 0] < np.inf)
         for values in (mean, error):
             values[:, 0] = np.where(lost, np.nan, np.where(rests, values[:, 0], 0.0))

@@ -16,7 +16,6 @@ from jaxnh.maps.section import Section, System
 from jaxnh.orbits.collocation.equations import FieldValues, Problem
 from jaxnh.orbits.collocation.fields import point_rates, timed_rates
 from jaxnh.orbits.collocation.paths import PiecewisePath, path_through, values_at
-from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import State
@@ -197,7 +196,7 @@ def passages(section: Section, path: PiecewisePath) -> Float[np.ndarray, " k"]:
     heights = section_heights(section, values_at(path, places[None])[0])
     up, down = (heights[:-1] <= 0.0) & (heights[1:] > 0.0), (heights[:-1] >= 0.0) & (heights[1:] < 0.0)
     wanted = {"up": up, "down": down, "both": up | down}[section.direction]
-    jumps = np.abs(np.diff(heights)) > np.pi if section.flow.chart.angles[section.number] else np.zeros(len(up), bool)
+    jumps = np.abs(np.diff(heights)) > 0.5 * (section.turn or np.inf)
     ends = zip(places[:-1][wanted & ~jumps], places[1:][wanted & ~jumps], strict=True)
 
     def height(place: float) -> float:
@@ -209,4 +208,4 @@ def passages(section: Section, path: PiecewisePath) -> Float[np.ndarray, " k"]:
 def section_heights(section: Section, states: Float[np.ndarray, "k d"]) -> Float[np.ndarray, " k"]:
     """Heights of states above the value of the section, whichever way it is passed."""
     heights = states @ section_normal(section) - section.value
-    return wrap_angle(heights) if section.flow.chart.angles[section.number] else heights
+    return heights - section.turn * np.round(heights / section.turn) if section.turn else heights

@@ -20,7 +20,8 @@ from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError, LostLaneError
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, Section
-from jaxnh.systems.flow import NO_RETURN, Parameters
+from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, NO_RETURN, Parameters
+from jaxnh.systems.piecewise_smooth import PiecewisePoint
 from jaxnh.systems.state import State
 
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
@@ -31,6 +32,9 @@ _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very syste
 _MOST_SEED_KICKS = 1 << 16
 _STEPS_A_PART = 64  # of a unit of time: so short that chaos has not yet enlarged everything in it
 _FEWEST_STEPS = 96  # that samples are judged by: what overflows with these is lost
+_GROWS = 5.0  # times that the largest coordinate grows in each quarter of a path: without bound
+_FAR_GROWN = 1e3  # times what it was at the start: no size of a motion
+_NOT_LOST_BY_STEPS = (NO_RETURN, CHATTERING, CODIMENSION_TWO)  # why lanes fail whatever the steps
 
 
 class SamplePaths(NamedTuple):
@@ -80,7 +84,7 @@ def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[s
         now = now._replace(states=met[-1])
     whole = now._replace(states=jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *states))
     changes = np.concatenate(apart, axis=2)
-    escaping = _is_escaping(whole.states)
+    escaping = _is_escaping(whole.states) | _grows(whole.states)
     sizes = measure_sizes(maps, whole, changes, escaping, given)
     sensitive = gaps_between(changes, sizes)
     sensitive = np.where(np.isfinite(sensitive), sensitive, -1.0)
@@ -140,12 +144,13 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
 def _stays_finite(maps: SampleMaps, samples: Samples, images: State, lost: Bool[np.ndarray, " lanes"]) -> int:
     """Return a lane whose image is lost but whose motion is not, by steps that follow it; −1: there is none.
 
-    A particle at a prescribed speed is not stiff, and steps do not lose a lane that does not return to its section.
+    A particle at a prescribed speed is not stiff, and steps do not lose a lane that does not return to its section, nor
+    one that comes to rest on a wall.
     """
     if maps.scheme.smooth:
         return -1
-    if maps.sectioned:
-        lost = lost & (images.reason != NO_RETURN)  # a lane that only the longer steps have lost is among them
+    if maps.sectioned or isinstance(images, PiecewisePoint):
+        lost = lost & ~np.isin(images.reason, _NOT_LOST_BY_STEPS)  # what only the longer steps have lost is among them
     numbers = np.flatnonzero(lost)
     if not len(numbers):
         return -1
@@ -203,3 +208,15 @@ def _is_escaping(states: State) -> Bool[np.ndarray, "lanes periods"]:
     finite = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(states)], axis=0)
     lost = np.pad(~finite, [(0, 0), (0, 2)])
     return lost[:, :-2] | lost[:, 1:-1] | lost[:, 2:]
+
+
+def _grows(states: State) -> Bool[np.ndarray, "lanes periods"]:
+    """Return where a lane has grown far, which grows without bound, as in a resonance of a linear equation.
+
+    What it has grown to is no size of a motion that errors could be relative to.
+    """
+    moduli = np.max([np.abs(leaf) for leaf in jax.tree.leaves(states)], axis=0)
+    parts = np.array_split(moduli, 4, axis=1)
+    quarters = np.stack([part.max(axis=1) for part in parts])
+    growing = np.all(quarters[1:] > _GROWS * quarters[:-1], axis=0)
+    return growing[:, None] & (moduli > _FAR_GROWN * moduli[:, :1])
