@@ -14,4 +14,5 @@ def system(mass=1.0, radius=1.0, gravity=1.0, i1=0.25, i2=0.3, i3=0.55, c1=0.2, 
     def f(q, u, t):
         return *rolling["f"](q, u, t), dot(q, u[:3])
 
-    return {key: value for key, value in rolling.items() if key != "dependent"} | {"f": f}
+    turned = dict.fromkeys(("w1", "w2", "w3", "V1", "V2", "V3"), -1)
+    return {key: value for key, value in rolling.items() if key != "dependent"} | {"f": f, "reversal": turned}
