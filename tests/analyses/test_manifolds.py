@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 import jaxnh
+from jaxnh.analyses.orbits.search import newton
 from jaxnh.exceptions import InputError
 
 pytestmark = pytest.mark.usefixtures("one_core")
@@ -86,6 +87,11 @@ def pendulum(g=1.0):
         return speed * rate, -speed * g * jnp.sin(angle)
 
     return {"rhs": rhs, "coordinates": ("angle", "rate"), "angles": ("angle",), "period": 1.0}
+
+
+def test_starts_that_all_escape():
+    """Newton from no point, as where no start of a box meets the section, finds no orbit."""
+    assert newton(None, None, None, np.zeros((0, 1, 2)), np.zeros(0, int), np.ones((1, 2))) == []
 
 
 def test_the_separatrix_of_a_pendulum_on_its_circle():

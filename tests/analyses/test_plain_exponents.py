@@ -60,6 +60,28 @@ def test_a_motion_that_comes_to_rest_slowly_has_no_exponent_zero():
     assert gap[0] < 1e-6
 
 
+LINE = """
+import jax.numpy as jnp
+
+def system(rate=3.0):
+    def rhs(y, t):
+        x, v = y
+        return v, -jnp.where(x > 1.0, rate, 1.0) * v
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "switches": ()}
+"""
+
+
+def test_equilibria_that_fill_a_line():
+    """All states at rest are equilibria, those beyond x = 1 with the exponents 0 and −3: no step leads along the line."""
+    text = "system: {file: line.py}\ninitial: {x: 2.0, v: 0.1}\nsweep: {rate: {values: [3.0]}}\n"
+    text += "accuracy: {solver: dopri8, steps: 4}\nanalyses: {lyapunov: {}}\n"
+    session = jaxnh.Session(jaxnh.Experiment.from_text(text, LINE))
+    data = session.run("lyapunov", {"transient": 32, "periods": BLOCKS, "exponents": 2})
+    assert data["exponents_method"][0] == SOURCES.index("equilibrium")
+    assert np.abs(data["exponents"][0].to_numpy() - [0.0, -3.0]).max() < 1e-9
+
+
 STRONGLY_CONTRACTING = """
 import jax.numpy as jnp
 

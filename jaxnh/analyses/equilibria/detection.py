@@ -68,7 +68,7 @@ def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equil
     linear = []
     for _ in range(3):
         linear.append(lanes(_linearise, (batch.strobe(),), (u, dict(batch.p))))
-        u = u - solve(linear[-1].change, linear[-1].rate)
+        u = u - _shortest_step(linear[-1].change, linear[-1].rate)
     change, closer, exact = (at.change for at in linear)
     norm = np.linalg.norm(change, axis=(1, 2))
     holds = _spectrum(change)[0][:, 0] <= _GROWS * norm
@@ -77,6 +77,17 @@ def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equil
     return Equilibrium(
         np.all(slow | never, axis=1) & holds, np.all((fourth < _SHRINKS * third) | never, axis=1), exponents, error
     )
+
+
+def _shortest_step(
+    matrices: Float[np.ndarray, "lanes d d"], right: Float[np.ndarray, "lanes d"]
+) -> Float[np.ndarray, "lanes d"]:
+    """Return steps of Newton, the shortest where a matrix is singular: equilibria may fill a line."""
+    steps = solve(matrices, right)
+    finite = np.all(np.isfinite(matrices), axis=(1, 2))
+    singular = np.flatnonzero(finite)[np.linalg.matrix_rank(matrices[finite]) < right.shape[1]]
+    steps[singular] = (np.linalg.pinv(matrices[singular]) @ right[singular, :, None])[..., 0]
+    return steps
 
 
 def _spectrum(

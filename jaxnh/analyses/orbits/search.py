@@ -132,6 +132,8 @@ def newton(
     size: Float[np.ndarray, "lanes d"],
 ) -> list[Cycles]:
     """Return the orbits that Newton finds from stretches of motions of lanes, by their primitive period."""
+    if not len(lane):
+        return []
     wrap = batch.chart.wrap
     first = equal_cycles(lane, points, size[lane], wrap) == np.arange(len(lane))  # one of those on a periodic motion
     points, lane = points[first], lane[first]
