@@ -210,10 +210,13 @@ def cluster(where: str) -> Iterator[Any]:
             environment = {"JAX_NUM_CPU_DEVICES": "1", "OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
             settings.set({"distributed.nanny.pre-spawn-environ": environment})
             settings.set({"distributed.worker.multiprocessing-method": "spawn"})
+            # One that takes long to start again is waited for: Dask would never start another one.
+            settings.set({"distributed.deploy.lost-worker-timeout": "1 day"})
             # A worker that dies is counted against all pieces that wait there: so none but the one at work waits there.
             settings.set({"distributed.scheduler.worker-saturation": 1.0})
             layout: dict[str, Any] = {"n_workers": count, "threads_per_worker": 1, "processes": True}
             layout |= {"dashboard_address": None, "memory_limit": 0, "host": _LOOPBACK}
+            layout |= {"scheduler_kwargs": {"dashboard_address": f"{_LOOPBACK}:0"}}  # a free port beside other clusters
             options["address"] = stack.enter_context(LocalCluster(**layout))
         elif "://" in where:
             _check_security(where)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import time
@@ -30,10 +32,23 @@ def addresses(info):
     return [info["address"], *(name for name, worker in info["workers"].items() for name in (name, worker["nanny"]))]
 
 
+@pytest.fixture
+def taken_port():
+    """The port in use that Dask would take for the pages of a cluster."""
+    with socket.socket() as other:
+        with contextlib.suppress(OSError):  # somebody has it
+            other.bind(("127.0.0.1", 8787))
+            other.listen()
+        yield
+
+
+@pytest.mark.filterwarnings("error:Port")
+@pytest.mark.usefixtures("taken_port")
 def test_our_own_cluster_is_on_loopback():
     """Scheduler, workers and their nannies: by their addresses, and by the sockets that their processes listen on.
 
-    What it computes is waited for by the client that has asked for it, which is no default of the process.
+    What it computes is waited for by the client that has asked for it, which is no default of the process. Of a port that
+    another cluster has nothing is said.
     """
     with dask_workers.cluster("local:1") as client:
         client.wait_for_workers(1, timeout=60)
