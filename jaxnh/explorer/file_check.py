@@ -22,7 +22,7 @@ from jaxnh.exceptions import InputError, JaxnhError
 from jaxnh.explorer.edited_files import EditedFiles
 
 SECONDS = 20.0
-"""That the check of files may take, imports apart."""
+"""Longest time of a check of files, imports apart, in seconds."""
 
 _IMPORTING = 60.0  # seconds that its imports may take besides
 _POLL = 0.1  # seconds between two looks at it

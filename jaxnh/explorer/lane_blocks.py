@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 Rule = Literal["mean", "majority"]
-"""How a pixel stands for many lanes: by the mean of those that have a number, or by the most frequent category."""
+"""Pixels that stand for many lanes: by the mean of those that have a number, or by the most frequent category."""
 
 _FEW_CATEGORIES = 1 << 20  # between the least and the largest whole number, that are counted without sorting
 

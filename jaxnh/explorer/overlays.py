@@ -357,4 +357,4 @@ GROUPS = (*_MAKERS, ORBITS, "atlas")
 """Groups that are laid over pictures, or say more of those that are."""
 
 ALONG_ONE = ("windows", "branches", "bifurcations")
-"""Those along one parameter; over planes of two they lie at the value that the other has in their result."""
+"""Groups along one parameter; over planes of two they lie at the value that the other has in their result."""

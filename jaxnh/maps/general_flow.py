@@ -271,7 +271,7 @@ def linearise_all(
     *,
     stacked: bool,
 ) -> tuple[Any, tuple[Any, ...]]:
-    """As `linearise`, by one derivative of all tangents where they are to be stacked."""
+    """The same as `linearise`, by one derivative of all tangents where they are to be stacked."""
     if not stacked or len(moved) < 2:
         return linearise(function, y, own, moved, by_p)
     value, slopes = linearise_stacked(function, y, own, *stacked_tangents(moved, own, by_p))

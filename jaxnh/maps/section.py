@@ -72,7 +72,7 @@ class Section(eqx.Module):
 
     @property
     def turn(self) -> float:
-        """What values on the section repeat after: 2π of an angle, or of angles with whole weights; else zero."""
+        """Period of values across the section: 2π of an angle, a multiple of it of angles of whole weights; else 0."""
         normal = self.normal or tuple(float(k == self.number) for k in range(self.number + 1))
         weights = [(weight, angle) for weight, angle in zip(normal, self.flow.chart.angles, strict=False) if weight]
         if not all(angle and float(weight).is_integer() for weight, angle in weights):

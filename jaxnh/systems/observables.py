@@ -44,7 +44,7 @@ def observable(flow: Flow, name: str, t: ArrayLike, y: State, p: Parameters) -> 
 
 
 def time_unit(flow: Flow, p: Parameters) -> ArrayLike:
-    """How long the unit of a flow's time is: its period where time is over the period, else one."""
+    """Unit of a flow's time: its period where time is over the period, else one."""
     return _definition(flow, p).get("time_unit_of_rates", 1.0)
 
 

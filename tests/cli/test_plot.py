@@ -55,6 +55,8 @@ OVER_TWO_AXES = {
     "curve_orbits": "",
 }
 """Groups of analyses that need two, and their panels."""
+WITHOUT_CLOCK = ("phase_responses", "surfaces")
+"""Panels of what flows without a clock alone have; drawn in `tests/plotting/test_panels.py`."""
 B = (5.8, 2.5, 4.1, 5.3)
 
 
@@ -82,7 +84,7 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     brought = {name for each in ANALYSES.values() if each.whole for name in each.whole.brings}
     assert set(groups) == (set(ANALYSES) | brought) - set(OVER_TWO_AXES)
     kinds = {kind_of(describe(name, group.to_dataset())) for name, group in groups.items()}
-    assert kinds - {""} == set(PANELS) - set(OVER_TWO_AXES.values())
+    assert kinds - {""} == set(PANELS) - {*OVER_TWO_AXES.values(), *WITHOUT_CLOCK}
     drawing = figures.figure(path)
     # Portraits, manifolds and tori have a panel for each b, with the points of `poincare` in the first; bifurcations are
     # drawn on their branches, and orbits not at all.

@@ -21,7 +21,7 @@ LENGTHS = {
     "equilibria": "arc length of the motion from the saddle",
     "cycles": "arc length of the branch on the section from the saddle to the motion",
 }
-"""What the arc lengths of corners are."""
+"""Arc lengths of corners, in words, by what the saddles are."""
 
 
 class Surfaces(NamedTuple):

@@ -60,7 +60,7 @@ def fitting(mesh: SurfaceMesh, most: int) -> SurfaceMesh:
 
 
 class Rim(Protocol):
-    """Where the motions of a surface begin.
+    """The places that the motions of a surface begin at.
 
     Attributes:
         closed: whether the last of them is next to the first.
@@ -91,7 +91,7 @@ class Rim(Protocol):
 
 
 class Growth(NamedTuple):
-    """How surfaces grow.
+    """The rules that surfaces grow by.
 
     Attributes:
         flow: without a clock.

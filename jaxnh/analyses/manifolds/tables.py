@@ -34,7 +34,7 @@ OWN_NAMES = (
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
 SIZES = "in halves of the box"
-"""What lengths of manifolds are measured in."""
+"""Unit of the lengths of manifolds, in words."""
 
 
 class Manifolds(NamedTuple):

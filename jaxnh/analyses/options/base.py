@@ -23,11 +23,11 @@ Box = Annotated[
 
 
 Extra = Annotated[bool | None, AfterValidator(lambda asked: asked or None)]
-"""Whether numbers are given beside those that there are always; None for no: what decides no number is in no hash."""
+"""Choice of numbers beside those that there are always; None for no: what decides no number is in no hash."""
 
 
 Omission = Annotated[bool | None, AfterValidator(lambda asked: None if asked else asked)]
-"""Whether numbers are given that there are where nothing is said; None for yes, likewise."""
+"""Choice of numbers that there are where nothing is said; None for yes, likewise."""
 
 
 class Block(BaseModel):

@@ -1,4 +1,4 @@
-"""Whether an attractor comes to a saddle that its motion passes at a distance: by the unstable leaves of the motion.
+"""Distance of an attractor from a saddle that its motion passes at a distance: by the unstable leaves of the motion.
 
 Near a saddle with multipliers |μ1| > 1 > |μ2| > … a motion comes within ε only if it enters within some ε |μ1|^−k of
 the stable manifold, with |μ2|^k = ε. Its nearest of N points is at N^(−1/D), D = 1 + ln |μ1| / −ln |μ2|, which may be

@@ -66,7 +66,7 @@ class _Walk(NamedTuple):
 
 
 class _Positions(NamedTuple):
-    """Where orbits are, changed in place.
+    """Present points of orbits, changed in place.
 
     Attributes:
         u: section coordinates, (orbits, d).

@@ -281,7 +281,7 @@ class LaneExecutor:
     def _results(
         self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None, spread: bool = True
     ) -> list[Any]:
-        """What comes to the host of each link, of lanes of one value of each family or of many."""
+        """Results of each link on the host, of lanes of one value of each family or of many."""
         call = self._call(links, lanes, tile, spread)
         families = [part for link in links for part in link.shared if isinstance(part, ParameterFamily)]
         if not families:

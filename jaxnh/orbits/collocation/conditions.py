@@ -169,7 +169,7 @@ class AmplitudeCondition(ExtremumCondition):
         super().__init__(problem, height, level, 1.0, guards)
 
     def at(self, solution: BoundarySolution) -> list[PointCondition]:
-        """As of the largest value, which is the level above the least one."""
+        """Conditions of the largest value, which is the level above the least one."""
         [first, *others] = super().at(solution)
         places = self._least(solution)
         states = values_at(solution.path, places)[:, 0]
