@@ -77,7 +77,7 @@ class Attractors(NamedTuple):
         means: smooth means of the features over the long window, (reps, F).
         unit: what these may be wrong by where the motion is regular, (reps, F).
         size: of the motion, (reps, d).
-        points: in section coordinates, (reps, points, d).
+        points: in section coordinates, NaN of a motion that becomes infinite, (reps, points, d).
         near: distance from the points, in sizes, that the end of a lane on it keeps, (reps,).
         steps: displacement along the flow from each point to the next, zero with a clock, (reps, points, d).
         margin: as near, but from the set that points and steps describe (`point_sets`), (reps,).
@@ -138,11 +138,16 @@ def classify(
         left = left[~on_orbit]
     near, margin = np.full((2, count), _NEAR_ORBIT)
     points = record_points(batch_from_points(batch, lanes, u), lanes, POINTS)
-    steps = np.zeros_like(points)
+    steps, cloud = np.zeros_like(points), np.empty(0)
+    if len(left):
+        cloud = record_points(moved_on.take(left), lanes, _CLOUD)
+        stays_finite = np.all(np.isfinite(cloud), axis=(1, 2))
+        points[left[~stays_finite]] = np.nan
+        left, cloud = left[stays_finite], cloud[stays_finite]
     if len(left):
         looked = LONGER * (records.time // 2)[left]
-        kind[left], exponent[left], cloud = _classify_recurrent(
-            moved_on.take(left), lanes, (u[left], size[left]), select(window, left), looked, longest
+        kind[left], exponent[left] = _classify_recurrent(
+            moved_on.take(left), lanes, (u[left], size[left], cloud), select(window, left), looked, longest
         )
         points, steps = pad_points(points, steps, _CLOUD)
         points[left], steps[left] = cloud, flow_steps(batch.take(left), lanes, cloud)
@@ -187,28 +192,27 @@ def _orbits(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
 def _classify_recurrent(
     batch: LaneBatch,
     lanes: LaneRunner,
-    ends: tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]],
+    motion: tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes points d"]],
     window: WindowAverages,
     looked: Int[np.ndarray, " lanes"],
     longest: int,
-) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"], Float[np.ndarray, "lanes points d"]]:
-    """Return kinds of motions on no orbit and no equilibrium, the exponents that decide, and points of the motions.
+) -> tuple[Int8[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
+    """Return kinds of motions on no orbit and no equilibrium, and the exponents that decide.
 
     Args:
-        ends: points that the motions go on from, and sizes of the motions.
+        motion: point that each goes on from, its size, and points from there on.
         looked: periods of the window.
         longest: periods that a lane may take.
     """
-    u, size = ends
+    u, size, cloud = motion
     kind, exponent = _exponent_kinds(batch, lanes, window, looked)
-    cloud = record_points(batch, lanes, _CLOUD)
     drift = recurrence_drift(batch.chart, cloud[:, -POINTS:], size)
     passing = kind == QUASIPERIODIC
     across = drift_across(batch, select((cloud, size), passing)) if batch.flow.autonomous else drift[passing]
     passing[passing] = across * looked[passing] < 1.0
     kind[passing | ((kind == CHAOTIC) & (drift <= _REPEATS))] = NONE
     kind[_keep_volume(batch, lanes, u, kind, longest)] = NONE
-    return kind, exponent, cloud
+    return kind, exponent
 
 
 def _exponent_kinds(
@@ -272,7 +276,8 @@ def _leave_sets(
     aside = 2.0 * np.mod(np.arange(1, u.shape[1] + 1) * _GOLDEN, 1.0) - 1.0  # along no symmetry
     cloud = record_points(batch_from_points(batch, lanes, u + _ASIDE * aside * sets[2]), lanes, _CLOUD)[:, -POINTS:]
     within = [
-        np.mean(lie_within(point_set(batch.chart, points, steps, size), later, size, float(margin)))
+        np.all(np.isfinite(later))
+        and np.mean(lie_within(point_set(batch.chart, points, steps, size), later, size, float(margin)))
         for later, points, steps, size, margin in zip(cloud, *sets, strict=True)
     ]
     return np.array(within) < 0.5

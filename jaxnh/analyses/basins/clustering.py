@@ -19,10 +19,11 @@ from jaxtyping import Bool, Float, Int
 from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, NONE, PERIODIC, POINTS, Attractors, classify
 from jaxnh.analyses.basins.paths import follow_paths, pad_points, stays_near
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
-from jaxnh.analyses.basins.settling import CONSERVATIVE, OPEN, RESTLESS, SETTLED, LaneRecords, resume
+from jaxnh.analyses.basins.settling import CONSERVATIVE, FAILED, OPEN, RESTLESS, SETTLED, LaneRecords, resume
 from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import NOT_FINITE
 
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
 _FRUITLESS = 4  # times in turn that lanes of one cluster are judged in vain
@@ -109,6 +110,8 @@ def _search(
             return assignment
         representatives = batch.take(seeds)
         judged = classify(representatives, lanes, select(records, seeds), limit, longest)
+        gone = seeds[~_is_finite(judged)]  # long after they had seemed to stay
+        records.known[gone], records.status[gone] = FAILED, NOT_FINITE
         largest, before = np.nanmax(np.abs(records.size), axis=0, initial=0.0), len(assignment.point)
         assignment, place = _add_attractors(batch.chart, assignment, judged, point[seeds], largest)
         settled = records.known[seeds] == SETTLED
@@ -123,14 +126,20 @@ def _search(
             return assignment
 
 
+def _is_finite(judged: Attractors) -> Bool[np.ndarray, " reps"]:
+    return np.all(np.isfinite(judged.points), axis=(1, 2))
+
+
 def _far_from_leaders(
     chart: Chart, records: LaneRecords, judged: Attractors, cluster: Int[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Return whether a lane is far from the leader of its cluster, which is on no attractor, as beside a repeller."""
-    away = np.zeros(len(cluster), np.bool_)
+    away, finite = np.zeros(len(cluster), np.bool_), _is_finite(judged)
     for k in np.flatnonzero(judged.kind == NONE).tolist():
         members = np.flatnonzero(cluster == k)
-        if len(members) > 1:
+        if not finite[k]:
+            away[members] = True
+        elif len(members) > 1:
             leader: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
             away[members] = _distances(chart, leader, records.u[members], records.size[members]) > 1.0
     return away

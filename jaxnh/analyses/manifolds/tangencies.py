@@ -34,7 +34,7 @@ _NEAR = 1e-4  # of the parameter, in units of itself: a step below it is one of 
 _AT_REST = 1e-9  # of the parameter, in units of itself
 _ZERO = 1e-7  # sizes
 _ROUNDING = 1e-11  # of the parameter, in units of itself
-_SAME = 1e-7  # likewise: values of one tangency
+_SAME = 1e-10  # likewise: values of one tangency, beyond their errors
 
 
 class Tangencies(NamedTuple):
@@ -229,7 +229,7 @@ def nearest_tangencies(of: Tangencies, value: float) -> Int[np.ndarray, " kept"]
     kept = list[int]()
     for i in np.argsort(np.abs(of.value - value), kind="stable").tolist():
         unit = _SAME * max(abs(value), 1e-3)
-        if np.isfinite(of.value[i]) and all(abs(of.value[i] - of.value[j]) > unit + of.error[i] for j in kept):
+        if np.isfinite(of.value[i]) and all(abs(of.value[i] - of.value[j]) > unit + of.error[i] + of.error[j] for j in kept):
             kept.append(i)
     return np.array(kept[:KEPT], int)
 
