@@ -152,7 +152,7 @@ def distances_from_leaves(system, parameter, start, saddles, count):
 def test_leaves_of_the_henon_attractor_come_to_the_saddle_in_it_and_to_no_other(a):
     """The fixed point inside is homoclinic (Benedicks and Carleson 1991); the other one is on the boundary of the basin.
 
-    The attractor comes to that one at a = 1.42692 (Grebogi, Ott and Yorke, Physica D 7 (1983) 181), and is as near to it
+    The attractor comes to that one at a = 1.42692 (test_crises_by_tangencies.py), and is as near to it
     before as to that inside.
     """
     x = np.sort(np.roots([a, 0.7, -1.0]))
