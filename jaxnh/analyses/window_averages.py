@@ -86,8 +86,9 @@ def features(turns: Bool[np.ndarray, " d"], u: Array, moved: Array) -> Array:
 def units(turns: Bool[np.ndarray, " d"], size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes F"]:
     """Return the size of each feature for coordinates of these sizes; 1 for the features of an angle."""
     sizes = []
-    for i, turning in enumerate(turns):
-        sizes += [np.ones(len(size))] * 3 if turning else [size[:, i], size[:, i] ** 2]
+    with np.errstate(over="ignore"):  # of lanes that go to infinity
+        for i, turning in enumerate(turns):
+            sizes += [np.ones(len(size))] * 3 if turning else [size[:, i], size[:, i] ** 2]
     return np.stack(sizes, axis=-1)
 
 

@@ -229,7 +229,9 @@ def nearest_tangencies(of: Tangencies, value: float) -> Int[np.ndarray, " kept"]
     kept = list[int]()
     for i in np.argsort(np.abs(of.value - value), kind="stable").tolist():
         unit = _SAME * max(abs(value), 1e-3)
-        if np.isfinite(of.value[i]) and all(abs(of.value[i] - of.value[j]) > unit + of.error[i] + of.error[j] for j in kept):
+        if np.isfinite(of.value[i]) and all(
+            abs(of.value[i] - of.value[j]) > unit + of.error[i] + of.error[j] for j in kept
+        ):
             kept.append(i)
     return np.array(kept[:KEPT], int)
 
