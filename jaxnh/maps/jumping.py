@@ -187,6 +187,10 @@ class _Lane:
 
     def trial(self, march: March) -> March:
         """Take one step: a whole one, one that locates a passage within it, or the one that ends there."""
+        return self.trial_and_arrival(march)[0]
+
+    def trial_and_arrival(self, march: March) -> tuple[March, Arrival]:
+        """Take one step, and say at which event it has arrived, if at one."""
         seeking, end = march.shots == 0, self.strobe.end_of(march.step)
         stretch = jnp.where(seeking, end - march.t, march.stretch)
         share = jnp.where(seeking, 1.0, march.share)
@@ -222,7 +226,7 @@ class _Lane:
         def chosen(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(moved, n, o), new, old)
 
-        return March(
+        ended = March(
             moving=chosen(after.moving, march.moving),
             t=jnp.where(moved, t, march.t),
             step=jnp.where(onwards, march.step + 1, march.step),
@@ -244,6 +248,7 @@ class _Lane:
             events=jnp.where(onwards, 0, jnp.where(arrived, march.events + 1, march.events)),
             lost=moved & ~(finite & sound),
         )
+        return ended, arrival
 
     # ---- parts of a trial
 

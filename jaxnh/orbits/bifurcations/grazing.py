@@ -1,0 +1,241 @@
+"""Periodic orbits that touch a wall or a surface, as arcs between events. Host code.
+
+A map of a period is not smooth where an orbit grazes: its derivative goes like one over the square root of the distance
+(Nordmark, J. Sound Vib. 145 (1991) 279). In place of it are arcs, each up to the next event by one branch of the field,
+with states, times and lengths as unknowns. Where an arc is to end, a height is zero; where the orbit touches, its rate is,
+and the height itself is one condition more. All of that is smooth (Thota and Dankowicz, Physica D 214 (2006) 187).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from jaxnh.orbits import cyclic
+from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, LinearSolution, Solution
+from jaxnh.orbits.continuation.paths import BEYOND
+
+_NEWTON_STEPS = 20
+_SMALL = 1e-7  # step of Newton, in units, from which on steps have to become shorter
+_BEYOND = 1e-7  # of the range of a height along an arc, that rounding does not explain
+
+
+class ArcSequence(NamedTuple):
+    """The arcs of an orbit, in order from the beginning of a period.
+
+    Attributes:
+        event: that each ends at, as `maps.event_arcs.arc_end` counts them, (m,).
+        side: of walls and surfaces along each, (m, k).
+        touch: number of the arc that ends where the orbit touches.
+    """
+
+    event: Int[np.ndarray, " m"]
+    side: Float[np.ndarray, "m k"]
+    touch: int
+
+    @property
+    def surface(self) -> int:
+        """Number of the wall or surface that is touched."""
+        return int(self.event[self.touch]) % self.side.shape[1]
+
+    @property
+    def first(self) -> Int[np.ndarray, " n"]:
+        """Numbers of the arcs that begin with a period."""
+        ends = np.flatnonzero(self.event == 2 * self.side.shape[1])
+        return np.concatenate([[0], ends[:-1] + 1])
+
+    @property
+    def events(self) -> int:
+        """How many walls and surfaces the orbit passes."""
+        return int(np.sum(self.event < self.side.shape[1]))
+
+
+class ArcEnds(NamedTuple):
+    """Ends of arcs, or derivatives of them: what is after each, what is missing to its event, and the height."""
+
+    after: np.ndarray
+    missing: np.ndarray
+    height: np.ndarray
+
+
+class ArcProblem(NamedTuple):
+    """Arcs of a flow with a clock.
+
+    Attributes:
+        ends: of arcs that begin at (arcs, d + 1), of lengths (arcs,), with sides (arcs, k) and events (arcs,), at values
+            of parameters (arcs, q): they, and their derivatives in the beginning, the length and the values.
+        heights: of arcs with the same arguments but for events, at places along them, (arcs, places, k), for the rate
+            as well.
+        wrap: angles in differences of points.
+        size: of the motion, (d,).
+        period: of the clock.
+        low, high: ends of the ranges of the parameters, (q,).
+    """
+
+    ends: Callable[..., tuple[ArcEnds, ArcEnds, ArcEnds, ArcEnds]]
+    heights: Callable[..., tuple[np.ndarray, np.ndarray]]
+    wrap: Callable[[np.ndarray], np.ndarray]
+    size: Float[np.ndarray, " d"]
+    period: float
+    low: Float[np.ndarray, " q"]
+    high: Float[np.ndarray, " q"]
+
+
+class GrazingOrbit(NamedTuple):
+    """A periodic orbit that touches.
+
+    Attributes:
+        sequence: its arcs.
+        begun: coordinates and times where they begin, (m, d + 1).
+        length: of them, (m,).
+        values: of the parameters, (q,).
+        multipliers: those of the side on which the orbit does not reach what it touches, (d,).
+    """
+
+    sequence: ArcSequence
+    begun: Float[np.ndarray, "m more"]
+    length: Float[np.ndarray, " m"]
+    values: Float[np.ndarray, " q"]
+    multipliers: Complex[np.ndarray, " d"]
+
+    @property
+    def points(self) -> Float[np.ndarray, "n d"]:
+        """The orbit's points at the beginnings of periods."""
+        return self.begun[self.sequence.first, :-1]
+
+
+class GrazingEquations(EquationsOfPaths):
+    """Orbits that touch as `core.CurveEquations`, unknowns in their units: arcs, their lengths, and parameters.
+
+    Args:
+        problem: the flow.
+        sequence: of the arcs.
+    """
+
+    def __init__(self, problem: ArcProblem, sequence: ArcSequence) -> None:
+        self._problem, self._sequence, self._d = problem, sequence, len(problem.size)
+        self._m, width = len(sequence.event), problem.high - problem.low
+        state = np.append(problem.size, problem.period)
+        self._size = np.concatenate([np.tile(state, self._m), np.full(self._m, problem.period), width])
+        self._rows = np.concatenate([np.tile(state, self._m), np.ones(self._m + 1)])
+        self.unit = np.ones(len(self._size))
+        self.low, self.high = problem.low / width, problem.high / width
+
+    def unknowns(self, begun: np.ndarray, length: np.ndarray, values: np.ndarray) -> Float[np.ndarray, " N"]:
+        """Unknowns of an orbit."""
+        return np.concatenate([begun.ravel(), length, values]) / self._size
+
+    def parts(self, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Beginnings, lengths and parameters of unknowns."""
+        whole, cut = z * self._size, self._m * (self._d + 1)
+        return whole[:, :cut].reshape(len(z), self._m, -1), whole[:, cut : cut + self._m], whole[:, cut + self._m :]
+
+    def orbit(self, z: Float[np.ndarray, " N"], blocks: Float[np.ndarray, "m e e"]) -> GrazingOrbit:
+        """The orbit of unknowns."""
+        (begun,), (length,), (values,) = self.parts(z[None])
+        return GrazingOrbit(self._sequence, begun, length, values, self._multipliers(blocks))
+
+    def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
+        """What is missing to an orbit, derivatives of each arc, and those of all in the unknowns."""
+        begun, length, values = self.parts(z)
+        (lanes, m, e), q, sequence = begun.shape, values.shape[1], self._sequence
+        flat = (begun.reshape(-1, e), length.ravel(), np.tile(sequence.side, (lanes, 1)))
+        at = self._problem.ends(*flat, np.tile(sequence.event, lanes), np.repeat(values, m, axis=0))
+        end, by_begun, by_length, by_values = (
+            ArcEnds(*(leaf.reshape(lanes, m, *leaf.shape[1:]) for leaf in part)) for part in at
+        )
+        gap = end.after - np.roll(begun, -1, axis=1)
+        gap[..., :-1] = self._problem.wrap(gap[..., :-1])
+        residual = np.concatenate([gap.reshape(lanes, -1), end.missing, end.height[:, [sequence.touch]]], axis=1)
+        slopes, cut = np.zeros((lanes, m * e + m + 1, m * e + m + q)), m * e
+        for k in range(m):
+            own, ahead = slice(k * e, (k + 1) * e), (k + 1) % m * e
+            slopes[:, own, own] += by_begun.after[:, k]
+            slopes[:, own, ahead : ahead + e] -= np.eye(e)
+            slopes[:, own, cut + k] = by_length.after[:, k]
+            slopes[:, own, cut + m :] = by_values.after[:, k]
+            rows = [(cut + k, "missing")] + ([(cut + m, "height")] if k == sequence.touch else [])
+            for row, name in rows:
+                slopes[:, row, own] = getattr(by_begun, name)[:, k]
+                slopes[:, row, cut + k] = getattr(by_length, name)[:, k]
+                slopes[:, row, cut + m :] = getattr(by_values, name)[:, k]
+        with np.errstate(all="ignore"):
+            onwards = by_length.after[..., None] / by_length.missing[..., None, None]
+            blocks = by_begun.after - onwards * by_begun.missing[..., None, :]
+        return Evaluation(residual / self._rows, blocks, slopes * self._size / self._rows[:, None])
+
+    def solve(self, at: Evaluation, /) -> LinearSolution:
+        """By singular values."""
+        least, null, other, square = cyclic.underdetermined_square(at.slopes, -at.residual)
+        return LinearSolution(least, null, other, np.linalg.det(square))
+
+    def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
+        """The same orbit as it is: of those that begin with other periods other arcs touch."""
+        return (z,)
+
+    def endings(
+        self, now: Solution, taken: Solution, /
+    ) -> tuple[dict[int, Bool[np.ndarray, " lanes"]], Bool[np.ndarray, " lanes"]]:
+        """Curves that have come to orbits with an arc beyond its event."""
+        beyond = self.passes_beyond(taken.z)
+        return {BEYOND: beyond}, beyond
+
+    def passes_beyond(self, z: Float[np.ndarray, "lanes N"]) -> Bool[np.ndarray, " lanes"]:
+        """Return whether arcs go beyond walls or surfaces before their events, or take no time."""
+        begun, length, values = self.parts(z)
+        (lanes, m, e), side = begun.shape, np.tile(self._sequence.side, (len(z), 1))
+        known = np.isfinite(z).all(axis=1)
+        flat = (begun.reshape(-1, e), length.ravel(), side, np.repeat(values, m, axis=0))
+        height, _ = self._problem.heights(*flat)
+        with np.errstate(invalid="ignore"):
+            over = height * side[:, None] < -_BEYOND * np.ptp(height, axis=1)[:, None]
+        return ~known | np.any(over.reshape(lanes, -1), axis=1) | np.any(length <= 0.0, axis=1)
+
+    def _multipliers(self, blocks: Float[np.ndarray, "m e e"]) -> Complex[np.ndarray, " d"]:
+        """Multipliers of the points at the beginning of a period, whose time does not vary."""
+        whole = np.eye(self._d + 1)
+        for block in blocks:
+            whole = block @ whole
+        values = np.linalg.eigvals(whole[:-1, :-1]).astype(complex)
+        return values[np.lexsort((np.imag(values), -np.abs(values)))]
+
+
+def grazing_orbit(
+    problem: ArcProblem,
+    sequence: ArcSequence,
+    begun: Float[np.ndarray, "m more"],
+    length: Float[np.ndarray, " m"],
+    values: Float[np.ndarray, " 1"],
+) -> GrazingOrbit | None:
+    """The orbit that touches, near a guess, of a problem with one parameter; None where Newton does not come to one."""
+    equations = GrazingEquations(problem, sequence)
+    z, last = equations.unknowns(begun, length, values)[None], np.inf
+    for _ in range(_NEWTON_STEPS):
+        at = equations.evaluate(z)
+        if not all(np.isfinite(leaf).all() for leaf in at):
+            return None
+        try:
+            step = -np.linalg.solve(at.slopes[0], at.residual[0])
+        except np.linalg.LinAlgError:
+            return None
+        size = float(np.linalg.norm(step))
+        if size >= last and last < _SMALL:  # rounding
+            return equations.orbit(z[0], at.blocks[0])
+        z, last = z + step, size
+    return None
+
+
+def touching(
+    sequence: ArcSequence, begun: np.ndarray, length: np.ndarray, arc: int, share: float, state: np.ndarray, surface: int
+) -> tuple[ArcSequence, np.ndarray, np.ndarray]:
+    """Arcs with one of them cut where it comes near a surface, at a share of it and at a state (d,)."""
+    at = arc + 1
+    count, time = sequence.side.shape[1], begun[arc, -1] + share * length[arc]
+    event = np.insert(sequence.event, arc, count + surface)
+    side = np.insert(sequence.side, at, sequence.side[arc], axis=0)
+    lengths = np.insert(length, at, (1.0 - share) * length[arc])
+    lengths[arc] = share * length[arc]
+    return ArcSequence(event, side, arc), np.insert(begun, at, np.append(state, time), axis=0), lengths
