@@ -106,6 +106,7 @@ def arc_end(
     flow: PiecewiseSmooth,
     solver: WrittenOutRungeKutta,
     steps: ArrayLike,
+    period: ArrayLike,
     begun: Float[Array, " more"],
     length: ArrayLike,
     side: Float[Array, " k"],
@@ -119,6 +120,7 @@ def arc_end(
     Args:
         flow: a flow with a clock, that walls and surfaces do not hold.
         solver, steps: with so many of its steps.
+        period: of the clock.
         begun: coordinates and time at the beginning, (d + 1,).
         length: of time.
         side: of walls and surfaces, by which the field is chosen.
@@ -139,12 +141,14 @@ def arc_end(
         for k in range(len(flow.jumps)):
             jumped = jnp.stack(flow.jumped(k, t, state, own, sides).y)
             after = jnp.where(event == k, jumped, after)
-        missing = jnp.where(over, t - flow.period, jnp.concatenate([height, rate])[event % (2 * count)])
+        missing = jnp.where(over, t - period, jnp.concatenate([height, rate])[event % (2 * count)])
         after = jnp.append(after, jnp.where(over, 0.0, t))
         return ArcEnd(after, missing, height[event % count])
 
     length = jnp.asarray(length, begun.dtype)
-    return end(begun, length, values), *jax.jacfwd(end, (0, 1, 2))(begun, length, values)
+    slopes: Any = jax.jacfwd(end, (0, 1, 2))(begun, length, values)
+    by_begun, by_length, by_values = (ArcEnd(*(leaf[k] for leaf in slopes)) for k in range(3))
+    return end(begun, length, values), by_begun, by_length, by_values
 
 
 class ArcSamples(NamedTuple):
@@ -193,8 +197,8 @@ def _moved(
     h, c = length / jnp.asarray(steps, begun.dtype), jnp.asarray(solver.c)
 
     def step(i: Array, y: PiecewisePoint) -> PiecewisePoint:
-        t = begun[-1] + i * h
-        return solver.rolled_stages(lambda s, z: flow.branch(t + c[s] * h, z, own, sides), h, y)
+        t = begun[-1] + jnp.asarray(i, begun.dtype) * h
+        return solver.carried_stages(lambda s, z: flow.branch(t + c[s] * h, z, own, sides), h, y)
 
     first = PiecewisePoint(tuple(begun[:-1]), jnp.zeros_like(begun[0]))
     return lax.fori_loop(0, steps, step, first).y

@@ -24,6 +24,7 @@ from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import check_equilibria, cycles_at_hopf_points, equilibria
 from jaxnh.analyses.continuation.families import orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
+from jaxnh.analyses.continuation.grazing import may_graze, with_grazing
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.options.orbits import BranchesOptions
@@ -163,6 +164,9 @@ def grow_branches(
     long = options.method == "auto" and _has_long_returns(batch, lanes, waves)
     if options.method != "collocation" and not long:
         tree = grow(families, waves, options.max_period, steps, stage)
+        if may_graze(batch):
+            with stage("orbits that graze"):
+                tree = with_grazing(batch, lanes, families[0], tree, unit)
     if tree is None or (options.method == "auto" and _needs_collocation(batch.flow, tree)):
         followed = grow_cycles(batch, lanes, waves, unit, options.max_period, ends, steps, stage)
         tree, timed = tree_of_cycles(batch, followed), durations(followed)

@@ -199,11 +199,8 @@ def _add_branches(
     with stage(f"{len(stretch.kind)} bifurcations of period {n}"):
         points, first, vectors, lost = _locate(families, stretch, count)
         tree.lost.extend(lost)
-        kept = list[int]()
-        for k, point in enumerate(points):
-            if not any(_same(families[0], point, other) for other in tree.bifurcations):
-                tree.bifurcations.append(point)
-                kept.append(k)
+        kept = new_bifurcations(families[0], tree.bifurcations, points)
+        tree.bifurcations.extend(points[k] for k in kept)
         kind = np.array([points[k].kind for k in kept], int)
         double, cross = (np.array(kept, int)[kind == which] for which in (DOUBLING, BRANCH_POINT))
         begun = list[CurveOrbits]()
@@ -274,9 +271,15 @@ def _middle(family: Family, points: Float[np.ndarray, "n d"]) -> Float[np.ndarra
     return points[:half] + 0.5 * family.wrap(points[half:] - points[:half])
 
 
-def _same(family: Family, one: Bifurcation, other: Bifurcation) -> bool:
-    """Return whether two branches have a bifurcation in common."""
-    near = _SAME_POINT * family.width + one.error + other.error
-    if one.kind != other.kind or abs(one.value - other.value) > near:
-        return False
-    return same_orbit(family, one.points, other.points, 1e2 * _SAME_POINT)
+def new_bifurcations(family: Family, known: Sequence[Bifurcation], points: Sequence[Bifurcation]) -> list[int]:
+    """Numbers of those points that no branch has in common with what is known, or with a point before them."""
+    every = [*known, *points]
+    kind, value, error = (np.array([getattr(one, name) for one in every]) for name in ("kind", "value", "error"))
+    kept, there = list[int](), np.arange(len(every)) < len(known)
+    for k, point in enumerate(points):
+        near = _SAME_POINT * family.width + point.error + error
+        beside = np.flatnonzero(there & (kind == point.kind) & (np.abs(value - point.value) <= near)).tolist()
+        if not any(same_orbit(family, point.points, every[i].points, 1e2 * _SAME_POINT) for i in beside):
+            there[len(known) + k] = True
+            kept.append(k)
+    return kept

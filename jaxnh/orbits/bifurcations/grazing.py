@@ -2,8 +2,8 @@
 
 A map of a period is not smooth where an orbit grazes: its derivative goes like one over the square root of the distance
 (Nordmark, J. Sound Vib. 145 (1991) 279). In place of it are arcs, each up to the next event by one branch of the field,
-with states, times and lengths as unknowns. Where an arc is to end, a height is zero; where the orbit touches, its rate is,
-and the height itself is one condition more. All of that is smooth (Thota and Dankowicz, Physica D 214 (2006) 187).
+with states, times and lengths as unknowns. Where an arc is to end, a height is zero; where the orbit touches, its rate
+is, and the height itself is one condition more. All of that is smooth (Thota and Dankowicz, Physica D 214 (2006) 187).
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ class ArcProblem(NamedTuple):
     """Arcs of a flow with a clock.
 
     Attributes:
-        ends: of arcs that begin at (arcs, d + 1), of lengths (arcs,), with sides (arcs, k) and events (arcs,), at values
-            of parameters (arcs, q): they, and their derivatives in the beginning, the length and the values.
-        heights: of arcs with the same arguments but for events, at places along them, (arcs, places, k), for the rate
-            as well.
+        ends: of arcs that begin at (arcs, d + 1), of lengths (arcs,), with sides (arcs, k) and events (arcs,), at
+            values of parameters (arcs, q): they, and their derivatives in the beginning, the length and the values.
+        places: of arcs with the same arguments but for events, states along them, (arcs, places, d), with heights of
+            walls and surfaces and their rates, (arcs, places, k).
         wrap: angles in differences of points.
         size: of the motion, (d,).
         period: of the clock.
@@ -76,7 +76,7 @@ class ArcProblem(NamedTuple):
     """
 
     ends: Callable[..., tuple[ArcEnds, ArcEnds, ArcEnds, ArcEnds]]
-    heights: Callable[..., tuple[np.ndarray, np.ndarray]]
+    places: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
     wrap: Callable[[np.ndarray], np.ndarray]
     size: Float[np.ndarray, " d"]
     period: float
@@ -93,6 +93,7 @@ class GrazingOrbit(NamedTuple):
         length: of them, (m,).
         values: of the parameters, (q,).
         multipliers: those of the side on which the orbit does not reach what it touches, (d,).
+        rounding: of the parameters, by what Newton's steps come down to, (q,).
     """
 
     sequence: ArcSequence
@@ -100,6 +101,7 @@ class GrazingOrbit(NamedTuple):
     length: Float[np.ndarray, " m"]
     values: Float[np.ndarray, " q"]
     multipliers: Complex[np.ndarray, " d"]
+    rounding: Float[np.ndarray, " q"]
 
     @property
     def points(self) -> Float[np.ndarray, "n d"]:
@@ -133,10 +135,14 @@ class GrazingEquations(EquationsOfPaths):
         whole, cut = z * self._size, self._m * (self._d + 1)
         return whole[:, :cut].reshape(len(z), self._m, -1), whole[:, cut : cut + self._m], whole[:, cut + self._m :]
 
-    def orbit(self, z: Float[np.ndarray, " N"], blocks: Float[np.ndarray, "m e e"]) -> GrazingOrbit:
-        """The orbit of unknowns."""
+    def orbit(
+        self, z: Float[np.ndarray, " N"], blocks: Float[np.ndarray, "m e e"], step: Float[np.ndarray, " N"]
+    ) -> GrazingOrbit:
+        """The orbit of unknowns, with what is left of Newton's steps."""
         (begun,), (length,), (values,) = self.parts(z[None])
-        return GrazingOrbit(self._sequence, begun, length, values, self._multipliers(blocks))
+        (left,) = self.parts(step[None])[2]
+        rounding = np.abs(left) + np.spacing(np.abs(values))
+        return GrazingOrbit(self._sequence, begun, length, values, self._multipliers(blocks), rounding)
 
     def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
         """What is missing to an orbit, derivatives of each arc, and those of all in the unknowns."""
@@ -189,7 +195,7 @@ class GrazingEquations(EquationsOfPaths):
         (lanes, m, e), side = begun.shape, np.tile(self._sequence.side, (len(z), 1))
         known = np.isfinite(z).all(axis=1)
         flat = (begun.reshape(-1, e), length.ravel(), side, np.repeat(values, m, axis=0))
-        height, _ = self._problem.heights(*flat)
+        _, height, _ = self._problem.places(*flat)
         with np.errstate(invalid="ignore"):
             over = height * side[:, None] < -_BEYOND * np.ptp(height, axis=1)[:, None]
         return ~known | np.any(over.reshape(lanes, -1), axis=1) | np.any(length <= 0.0, axis=1)
@@ -223,13 +229,19 @@ def grazing_orbit(
             return None
         size = float(np.linalg.norm(step))
         if size >= last and last < _SMALL:  # rounding
-            return equations.orbit(z[0], at.blocks[0])
+            return equations.orbit(z[0], at.blocks[0], step)
         z, last = z + step, size
     return None
 
 
 def touching(
-    sequence: ArcSequence, begun: np.ndarray, length: np.ndarray, arc: int, share: float, state: np.ndarray, surface: int
+    sequence: ArcSequence,
+    begun: np.ndarray,
+    length: np.ndarray,
+    arc: int,
+    share: float,
+    state: np.ndarray,
+    surface: int,
 ) -> tuple[ArcSequence, np.ndarray, np.ndarray]:
     """Arcs with one of them cut where it comes near a surface, at a share of it and at a state (d,)."""
     at = arc + 1

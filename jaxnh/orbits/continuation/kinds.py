@@ -4,7 +4,7 @@ A fold is where the parameter turns; a branch point where the determinant of the
 curve changes sign. A doubling is a zero of det(M + 1), a Neimark–Sacker bifurcation one of det(M ∧ M − 1), whose
 factors are μ_i μ_j − 1, i < j; of an equilibrium Hopf's is one of the determinant whose factors are λ_i + λ_j
 (Kuznetsov, Elements of Applied Bifurcation Theory, 2004, 10.2). All are determinants of equations around the orbit: no
-product is formed.
+product is formed. Grazing, where an orbit touches a wall or a surface, has none: maps are not smooth there.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from jaxnh.orbits import cyclic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family
 from jaxnh.orbits.multipliers import multipliers
 
-KINDS = ("fold", "period_doubling", "neimark_sacker", "branch_point", "hopf")
+KINDS = ("fold", "period_doubling", "neimark_sacker", "branch_point", "hopf", "grazing")
 """Bifurcations by number."""
 
-FOLD, DOUBLING, NEIMARK_SACKER, BRANCH_POINT, HOPF = range(len(KINDS))
+FOLD, DOUBLING, NEIMARK_SACKER, BRANCH_POINT, HOPF, GRAZING = range(len(KINDS))
 
 _MAPS, _FIELDS = (FOLD, DOUBLING, NEIMARK_SACKER, BRANCH_POINT), (FOLD, HOPF, BRANCH_POINT)
 

@@ -1,0 +1,245 @@
+"""Grazing along branches of a flow with walls or surfaces: where an orbit touches one more of them, or one less.
+
+Shooting ends there, or steps over it. So the events of the orbits of a branch are counted: between points with
+different ones, and where a branch ends because Newton does not converge, the orbit that touches is looked for as arcs
+between events (`orbits.bifurcations.grazing`). It begins with that of fewer events, cut where it comes nearest to a
+wall or surface, or with one whose slowest impact is taken for a touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree, new_bifurcations
+from jaxnh.maps.event_arcs import EventSequence, arc_end, arc_samples, event_sequence
+from jaxnh.maps.jumping import JumpingStrobe
+from jaxnh.orbits.bifurcations.grazing import (
+    ArcEnds,
+    ArcProblem,
+    ArcSequence,
+    GrazingEquations,
+    GrazingOrbit,
+    grazing_orbit,
+    touching,
+)
+from jaxnh.orbits.continuation.arclength import Family, PathVector, length
+from jaxnh.orbits.continuation.branches import Branch
+from jaxnh.orbits.continuation.kinds import GRAZING
+from jaxnh.orbits.continuation.paths import NO_CONVERGENCE, NO_RETURN
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+
+_ROOM = 32  # events of a period
+_TILE = 32
+_TRIED = 4  # places of an orbit that may touch, those nearest first
+_REACH = 2.0  # chords between two points of a branch, within which the orbit that touches is
+_END = 1e-2  # lengths from the end of a branch, within which it is
+REFINEMENTS = (1, 2, 4)
+"""Steps of arcs for errors, in those of the map."""
+
+
+class Arcs(NamedTuple):
+    """The arcs of an orbit, without one that touches: beginnings, lengths, events and sides (`ArcSequence`)."""
+
+    begun: Float[np.ndarray, "m more"]
+    length: Float[np.ndarray, " m"]
+    sequence: ArcSequence
+
+
+class _Guess(NamedTuple):
+    """Arcs near those of an orbit that touches, and how far above or below the surface it is there."""
+
+    away: float
+    sequence: ArcSequence
+    begun: Float[np.ndarray, "m more"]
+    length: Float[np.ndarray, " m"]
+
+
+def may_graze(batch: LaneBatch) -> bool:
+    """Return whether a batch has walls or surfaces that its orbits may graze, with a clock, and not held."""
+    flow = batch.flow
+    if not isinstance(flow, PiecewiseSmooth) or flow.autonomous or batch.family is not None:
+        return False
+    plain = type(flow).branch is PiecewiseSmooth.branch and not (flow.holding or flow.constrained or flow.many_surfaces)
+    return plain and batch.precision == "float64" and isinstance(batch.strobe(), JumpingStrobe)
+
+
+def with_grazing(
+    batch: LaneBatch, lanes: LaneRunner, family: Family, tree: Tree, size: Float[np.ndarray, " d"]
+) -> Tree:
+    """A tree with the orbits of its branches that graze, as bifurcations of kind `GRAZING`."""
+    branches = [(k, branch) for k, branch in enumerate(tree.branches) if len(branch.value) > 1]
+    if not (branches and may_graze(batch)):
+        return tree
+    name, ends = batch.first_axis.name, (np.array([family.low]), np.array([family.high]))
+    problems = [arc_problem(batch, lanes, (name,), ends, size, more) for more in REFINEMENTS]
+    known = list[Bifurcation]()
+    for number, branch in branches:
+        events = _events(batch, lanes, branch)
+        for place, seeds, reach in _changes(family, branch, events):
+            first = _first_grazing(problems[0], batch, family, branch, events, seeds, reach)
+            point = first and _with_error(problems, first, number, place)
+            known += [point] if point and new_bifurcations(family, known, [point]) else []
+    return tree._replace(bifurcations=[*tree.bifurcations, *known])
+
+
+def arc_problem(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    names: tuple[str, ...],
+    ends: tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]],
+    size: Float[np.ndarray, " d"],
+    refinement: int = 1,
+) -> ArcProblem:
+    """Arcs of the flow of a batch over parameters with names, between the ends of their ranges."""
+    flow, solver = batch.flow, batch.solver
+    steps = batch.steps * refinement
+    few = -(-steps // 16)  # between the places of samples, of which there are more
+
+    def at(values: np.ndarray) -> dict[str, np.ndarray]:
+        p = {key: np.full(len(values), leaf[0]) for key, leaf in batch.p.items()}
+        return p | dict(zip(names, values.T, strict=True))
+
+    def ends_of(begun: np.ndarray, length: np.ndarray, side: np.ndarray, event: np.ndarray, values: np.ndarray):
+        own = (begun, length, side, event.astype(np.int32), values, at(values))
+        shared = (flow, solver, np.int32(steps), float(flow.period))
+        known = lanes(arc_end, shared, own, tile=_TILE, static=(names,), spread=False)
+        return tuple(ArcEnds(*map(np.array, part)) for part in known)
+
+    def places_of(begun: np.ndarray, length: np.ndarray, side: np.ndarray, values: np.ndarray):
+        known = lanes(
+            arc_samples, (flow, solver, np.int32(few)), (begun, length, side, at(values)), tile=_TILE, spread=False
+        )
+        return tuple(map(np.asarray, known))
+
+    return ArcProblem(ends_of, places_of, batch.chart.wrap, size, float(flow.period), *ends)
+
+
+# ---- orbits of a branch
+
+
+def _events(batch: LaneBatch, lanes: LaneRunner, branch: Branch) -> EventSequence:
+    """The events of all orbits of a branch, period by period, (k, n, ...)."""
+    k, n, d = branch.points.shape
+    p = batch.at_values(np.repeat(branch.value, n)).p
+    known = lanes(
+        event_sequence, (batch.strobe(),), (branch.points.reshape(-1, d), p), tile=_TILE, static=(_ROOM,), spread=False
+    )
+    return EventSequence(*(np.asarray(leaf).reshape(k, n, *leaf.shape[1:]) for leaf in known))  # pyright: ignore[reportArgumentType]
+
+
+def _changes(family: Family, branch: Branch, events: EventSequence) -> Iterator[tuple[int, list[int], float]]:
+    """Places of a branch where the events change, the points to begin with, and lengths within which an orbit touches.
+
+    A place is the number of the point before.
+    """
+    count, surfaces = np.asarray(events.count), events.side.shape[-1]
+    number = np.where(np.arange(_ROOM) < count[..., None], events.number, -1)
+    known = np.all(count <= _ROOM, axis=1)
+    met = np.stack([np.sum(number == k, axis=(1, 2)) for k in range(surfaces)], axis=1)
+    chords = length(family, PathVector(np.diff(branch.points, axis=0), np.diff(branch.value)))
+    last = len(branch.value) - 1
+    if branch.ends[0] in (NO_CONVERGENCE, NO_RETURN) and known[0]:
+        yield 0, [0], _END
+    for k in np.flatnonzero(known[1:] & known[:-1] & np.any(np.diff(met, axis=0) != 0, axis=1)).tolist():
+        seeds = [k, k + 1] if met[k].sum() < met[k + 1].sum() else [k + 1, k]
+        yield k, seeds, _REACH * float(chords[k])
+    if branch.ends[1] in (NO_CONVERGENCE, NO_RETURN) and known[-1]:
+        yield last - 1, [last], _END
+
+
+def arcs_of(events: EventSequence, place: int, n: int, period: float) -> Arcs | None:
+    """The arcs of an orbit of n periods from the events of all orbits of a branch; None where events coincide."""
+    begun, lengths, numbers, sides, surfaces = [], [], [], [], events.side.shape[-1]
+    for i in range(n):
+        k = int(events.count[place, i])
+        time = np.concatenate([[0.0], events.time[place, i, :k], [period]])
+        begun.append(np.concatenate([events.state[place, i, : k + 1], time[: k + 1, None]], axis=1))
+        lengths.append(np.diff(time))
+        numbers.append(np.append(events.number[place, i, :k], 2 * surfaces))
+        sides.append(events.side[place, i, : k + 1])
+    length = np.concatenate(lengths)
+    sequence = ArcSequence(np.concatenate(numbers), np.concatenate(sides), 0)
+    return Arcs(np.concatenate(begun), length, sequence) if np.all(length > 0.0) else None
+
+
+# ---- orbits that touch
+
+
+def _first_grazing(
+    problem: ArcProblem,
+    batch: LaneBatch,
+    family: Family,
+    branch: Branch,
+    events: EventSequence,
+    seeds: Sequence[int],
+    reach: float,
+) -> GrazingOrbit | None:
+    """The orbit that touches near the first of some points of a branch that has one, within lengths; or None."""
+    for seed in seeds:
+        arcs, values = arcs_of(events, seed, branch.period, batch.flow.period), branch.value[[seed]]
+        for guess in _guesses(problem, batch, arcs, values)[:_TRIED] if arcs else []:
+            orbit = grazing_orbit(problem, guess.sequence, guess.begun, guess.length, values)
+            if orbit is None or not _near(family, branch, seed, orbit, reach):
+                continue
+            equations = GrazingEquations(problem, orbit.sequence)
+            if not equations.passes_beyond(equations.unknowns(orbit.begun, orbit.length, orbit.values)[None])[0]:
+                return orbit
+    return None
+
+
+def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np.ndarray, " 1"]) -> list[_Guess]:
+    """Places where an orbit may touch, those nearest first: turns before a wall or surface, and slow impacts."""
+    flow, (begun, length, sequence) = batch.flow, arcs
+    assert isinstance(flow, PiecewiseSmooth)
+    event, side = sequence.event, sequence.side
+    m, surfaces = side.shape
+    state, height, rate = problem.places(begun, length, side, np.tile(values, (m, 1)))
+    size = np.maximum(np.ptp(height, axis=(0, 1)), np.finfo(float).tiny)
+    part, places = length / height.shape[1], height.shape[1]
+    guesses = list[_Guess]()
+    for j in range(m):
+        for k in range(surfaces):
+            above, falling = side[j, k] * height[j, :, k], side[j, k] * rate[j, :, k]
+            if k < len(flow.jumps) and flow.jumps[k] != "both" and side[j, k] > 0.0:
+                continue
+            for i in np.flatnonzero((falling[:-1] < 0.0) & (falling[1:] >= 0.0)).tolist():
+                share = falling[i] / (falling[i] - falling[i + 1])
+                away = above[i] + 0.5 * falling[i] * share * part[j]
+                there = (1.0 - share) * state[j, i] + share * state[j, i + 1]
+                new = touching(sequence, begun, length, j, (i + 1 + share) / places, there, k)
+                guesses.append(_Guess(abs(away) / size[k], *new))
+        k = int(event[j])
+        if k < len(flow.jumps):
+            bend = abs(rate[j, -1, k] - rate[j, -2, k]) / part[j]
+            away = 0.5 * rate[j, -1, k] ** 2 / max(bend, np.finfo(float).tiny)
+            touched, ahead = event.copy(), begun.copy()
+            touched[j] = surfaces + k
+            ahead[(j + 1) % m, :-1] = state[j, -1]
+            guesses.append(_Guess(abs(away) / size[k], ArcSequence(touched, side, j), ahead, length))
+    return sorted(guesses, key=lambda guess: guess.away)
+
+
+def _near(family: Family, branch: Branch, seed: int, orbit: GrazingOrbit, reach: float) -> bool:
+    """Return whether an orbit that touches is within lengths of one of a branch, in the parameter's range."""
+    gap = PathVector((orbit.points - branch.points[seed])[None], orbit.values - branch.value[seed])
+    inside = family.low <= orbit.values[0] <= family.high
+    return inside and bool(length(family, gap)[0] <= reach)
+
+
+def _with_error(problems: Sequence[ArcProblem], first: GrazingOrbit, branch: int, place: int) -> Bifurcation | None:
+    """The bifurcation, by arcs of twice and four times the steps; None where Newton does not come to it with these."""
+    orbits = [first]
+    for finer in problems[1:]:
+        orbit = grazing_orbit(finer, orbits[-1].sequence, orbits[-1].begun, orbits[-1].length, orbits[-1].values)
+        if orbit is None:
+            return None
+        orbits.append(orbit)
+    value = [float(orbit.values[0]) for orbit in orbits]
+    error = abs(value[1] - value[0]) + abs(value[2] - value[1]) + max(float(orbit.rounding[0]) for orbit in orbits[1:])
+    middle = orbits[1]
+    return Bifurcation(GRAZING, value[1], error, branch, place, middle.points, middle.multipliers, np.nan, 0)
