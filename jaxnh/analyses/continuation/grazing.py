@@ -8,7 +8,8 @@ wall or surface, or with one whose slowest impact is taken for a touch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from jaxnh.orbits.bifurcations.grazing import (
 from jaxnh.orbits.continuation.arclength import Family, PathVector, length
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.kinds import GRAZING
-from jaxnh.orbits.continuation.paths import NO_CONVERGENCE, NO_RETURN
+from jaxnh.orbits.continuation.paths import GRAZES, NO_CONVERGENCE, NO_RETURN
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 _ROOM = 32  # events of a period
@@ -48,6 +49,21 @@ class Arcs(NamedTuple):
     begun: Float[np.ndarray, "m more"]
     length: Float[np.ndarray, " m"]
     sequence: ArcSequence
+
+
+class _Change(NamedTuple):
+    """A place of a branch, with the points to begin with, and the lengths within which an orbit touches.
+
+    Attributes:
+        place, end: as of `Grazing`.
+        seeds: numbers of the points.
+        reach: the lengths.
+    """
+
+    place: int
+    end: int | None
+    seeds: Sequence[int]
+    reach: float
 
 
 class _Guess(NamedTuple):
@@ -68,23 +84,59 @@ def may_graze(batch: LaneBatch) -> bool:
     return plain and batch.precision == "float64" and isinstance(batch.strobe(), JumpingStrobe)
 
 
+class Grazing(NamedTuple):
+    """An orbit of a branch that touches.
+
+    Attributes:
+        branch, place: number of the branch, and of the point of it that comes before.
+        end: number of the end of the branch that it is at, 0 or 1; none where the branch goes on.
+        orbits: it, by arcs of once, twice and four times the steps.
+    """
+
+    branch: int
+    place: int
+    end: int | None
+    orbits: Sequence[GrazingOrbit]
+
+    @property
+    def bifurcation(self) -> Bifurcation:
+        """The orbit as a bifurcation, the error from step refinement and rounding."""
+        (first, second, third), middle = (float(one.values[0]) for one in self.orbits), self.orbits[1]
+        rounding = max(float(one.rounding[0]) for one in self.orbits[1:])
+        error = abs(second - first) + abs(third - second) + rounding
+        return Bifurcation(
+            GRAZING, second, error, self.branch, self.place, middle.points, middle.multipliers, np.nan, 0
+        )
+
+
 def with_grazing(
     batch: LaneBatch, lanes: LaneRunner, family: Family, tree: Tree, size: Float[np.ndarray, " d"]
 ) -> Tree:
-    """A tree with the orbits of its branches that graze, as bifurcations of kind `GRAZING`."""
-    branches = [(k, branch) for k, branch in enumerate(tree.branches) if len(branch.value) > 1]
-    if not (branches and may_graze(batch)):
-        return tree
+    """A tree with the orbits of its branches that graze, as bifurcations of kind `GRAZING` and ends of branches."""
+    branches, grazing = list(tree.branches), grazing_orbits(batch, lanes, family, tree, size)
+    for one in grazing:
+        if one.end is not None:
+            ends = tuple(GRAZES if k == one.end else end for k, end in enumerate(branches[one.branch].ends))
+            branches[one.branch] = replace(branches[one.branch], ends=ends)
+    points = [one.bifurcation for one in grazing]
+    points = [points[k] for k in new_bifurcations(family, [], points)]
+    return Tree(branches, [*tree.bifurcations, *points], tree.lost)
+
+
+def grazing_orbits(
+    batch: LaneBatch, lanes: LaneRunner, family: Family, tree: Tree, size: Float[np.ndarray, " d"]
+) -> list[Grazing]:
+    """The orbits that touch along branches; that of two branches with each of them."""
     name, ends = batch.first_axis.name, (np.array([family.low]), np.array([family.high]))
     problems = [arc_problem(batch, lanes, (name,), ends, size, more) for more in REFINEMENTS]
-    known = list[Bifurcation]()
-    for number, branch in branches:
+    grazing = list[Grazing]()
+    for number, branch in enumerate(tree.branches):
         events = _events(batch, lanes, branch)
-        for place, seeds, reach in _changes(family, branch, events):
-            first = _first_grazing(problems[0], batch, family, branch, events, seeds, reach)
-            point = first and _with_error(problems, first, number, place)
-            known += [point] if point and new_bifurcations(family, known, [point]) else []
-    return tree._replace(bifurcations=[*tree.bifurcations, *known])
+        for change in _changes(family, branch, events):
+            orbit = _first_grazing(problems[0], batch, family, branch, events, change)
+            orbits = orbit and _refined(problems, orbit)
+            grazing += [Grazing(number, change.place, change.end, orbits)] if orbits else []
+    return grazing
 
 
 def arc_problem(
@@ -132,24 +184,19 @@ def _events(batch: LaneBatch, lanes: LaneRunner, branch: Branch) -> EventSequenc
     return EventSequence(*(np.asarray(leaf).reshape(k, n, *leaf.shape[1:]) for leaf in known))  # pyright: ignore[reportArgumentType]
 
 
-def _changes(family: Family, branch: Branch, events: EventSequence) -> Iterator[tuple[int, list[int], float]]:
-    """Places of a branch where the events change, the points to begin with, and lengths within which an orbit touches.
-
-    A place is the number of the point before.
-    """
+def _changes(family: Family, branch: Branch, events: EventSequence) -> list[_Change]:
+    """Places of a branch where the events change, or where it ends because Newton does not converge."""
     count, surfaces = np.asarray(events.count), events.side.shape[-1]
     number = np.where(np.arange(_ROOM) < count[..., None], events.number, -1)
     known = np.all(count <= _ROOM, axis=1)
     met = np.stack([np.sum(number == k, axis=(1, 2)) for k in range(surfaces)], axis=1)
     chords = length(family, PathVector(np.diff(branch.points, axis=0), np.diff(branch.value)))
-    last = len(branch.value) - 1
-    if branch.ends[0] in (NO_CONVERGENCE, NO_RETURN) and known[0]:
-        yield 0, [0], _END
+    lost, last = [end in (NO_CONVERGENCE, NO_RETURN) for end in branch.ends], len(branch.value) - 1
+    changes = [_Change(0, 0, [0], _END)] if lost[0] and known[0] else []
     for k in np.flatnonzero(known[1:] & known[:-1] & np.any(np.diff(met, axis=0) != 0, axis=1)).tolist():
         seeds = [k, k + 1] if met[k].sum() < met[k + 1].sum() else [k + 1, k]
-        yield k, seeds, _REACH * float(chords[k])
-    if branch.ends[1] in (NO_CONVERGENCE, NO_RETURN) and known[-1]:
-        yield last - 1, [last], _END
+        changes.append(_Change(k, None, seeds, _REACH * float(chords[k])))
+    return [*changes, *([_Change(max(last - 1, 0), 1, [last], _END)] if lost[1] and known[-1] else [])]
 
 
 def arcs_of(events: EventSequence, place: int, n: int, period: float) -> Arcs | None:
@@ -176,15 +223,14 @@ def _first_grazing(
     family: Family,
     branch: Branch,
     events: EventSequence,
-    seeds: Sequence[int],
-    reach: float,
+    change: _Change,
 ) -> GrazingOrbit | None:
-    """The orbit that touches near the first of some points of a branch that has one, within lengths; or None."""
-    for seed in seeds:
+    """The orbit that touches near the first of some points of a branch that has one; or None."""
+    for seed in change.seeds:
         arcs, values = arcs_of(events, seed, branch.period, batch.flow.period), branch.value[[seed]]
         for guess in _guesses(problem, batch, arcs, values)[:_TRIED] if arcs else []:
             orbit = grazing_orbit(problem, guess.sequence, guess.begun, guess.length, values)
-            if orbit is None or not _near(family, branch, seed, orbit, reach):
+            if orbit is None or not _near(family, branch, seed, orbit, change.reach):
                 continue
             equations = GrazingEquations(problem, orbit.sequence)
             if not equations.passes_beyond(equations.unknowns(orbit.begun, orbit.length, orbit.values)[None])[0]:
@@ -231,15 +277,13 @@ def _near(family: Family, branch: Branch, seed: int, orbit: GrazingOrbit, reach:
     return inside and bool(length(family, gap)[0] <= reach)
 
 
-def _with_error(problems: Sequence[ArcProblem], first: GrazingOrbit, branch: int, place: int) -> Bifurcation | None:
-    """The bifurcation, by arcs of twice and four times the steps; None where Newton does not come to it with these."""
+def _refined(problems: Sequence[ArcProblem], first: GrazingOrbit) -> list[GrazingOrbit] | None:
+    """The orbit by arcs of once, twice and four times the steps; None where Newton does not come to it with these."""
     orbits = [first]
     for finer in problems[1:]:
-        orbit = grazing_orbit(finer, orbits[-1].sequence, orbits[-1].begun, orbits[-1].length, orbits[-1].values)
+        last = orbits[-1]
+        orbit = grazing_orbit(finer, last.sequence, last.begun, last.length, last.values)
         if orbit is None:
             return None
         orbits.append(orbit)
-    value = [float(orbit.values[0]) for orbit in orbits]
-    error = abs(value[1] - value[0]) + abs(value[2] - value[1]) + max(float(orbit.rounding[0]) for orbit in orbits[1:])
-    middle = orbits[1]
-    return Bifurcation(GRAZING, value[1], error, branch, place, middle.points, middle.multipliers, np.nan, 0)
+    return orbits
