@@ -11,9 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
 import jaxnh
-from jaxnh.analyses.continuation.condition_curves import CONDITIONS
+from jaxnh.analyses.continuation.curve_tables import CURVE_KINDS
 from jaxnh.exceptions import ConfigError
-from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.continuation.paths import BEYOND, ENDS, RANGE
 from tests.helpers import contract
 from tests.helpers.kept_programs import session_of
@@ -97,7 +96,7 @@ def points_of(data, k, *names):
 
 
 def kinds_of(data):
-    return [(*KINDS, *CONDITIONS)[kind] for kind in data["kind"].values]
+    return [CURVE_KINDS[kind] for kind in data["kind"].values]
 
 
 def test_amplitudes_of_hopfs_normal_form(tmp_path):

@@ -19,6 +19,9 @@ from jaxnh.orbits.continuation.curves import Curve
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.continuation.paths import ENDS
 
+CURVE_KINDS = (*KINDS, *(condition for condition in CONDITIONS if condition not in KINDS))
+"""Kinds of curves by number: bifurcations, then conditions that are none."""
+
 
 class CurvePoint(NamedTuple):
     """A point of codimension two, the number of its curve, and errors of both parameters.
@@ -63,7 +66,7 @@ def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, l
     conditional = any(isinstance(curve, ConditionCurve) for curve in curves)
     kinds, words_of_kind = KINDS, "kind of bifurcation"
     if conditional:
-        kinds, words_of_kind = (*KINDS, *CONDITIONS), "kind of bifurcation, or the condition that cycles keep"
+        kinds, words_of_kind = CURVE_KINDS, "kind of bifurcation, or the condition that cycles keep"
     filled = {
         **columns,
         "kind": flag("curve", list(map(_kind, curves)), words_of_kind, kinds),
@@ -85,8 +88,8 @@ def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, l
 
 
 def _kind(curve: Curve | ConditionCurve) -> int:
-    """The number of a curve's kind, conditions after bifurcations."""
-    return len(KINDS) + curve.condition.kind if isinstance(curve, ConditionCurve) else curve.kind
+    """The number of a curve's kind."""
+    return CURVE_KINDS.index(CONDITIONS[curve.condition.kind]) if isinstance(curve, ConditionCurve) else curve.kind
 
 
 def _of_equilibria(curve: Curve | ConditionCurve) -> bool:

@@ -35,6 +35,7 @@ from jaxnh.analyses.continuation.families import (
     values_searched,
 )
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
+from jaxnh.analyses.continuation.grazing_curves import grazing_curves
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, survey_from_start
@@ -131,7 +132,8 @@ def follow_all(
         assert known is not None
         followed = _joined(followed, _of_orbits(options, batches[0], lanes, names, low, high, still, known))
     if options.conditional and settled is not None:
-        curves = condition_curves(options, batches, lanes, settled.waves, settled.size, names, (low, high))
+        given = (options, batches, lanes, settled.waves, settled.size, names, (low, high))
+        curves = condition_curves(*given) + (grazing_curves(*given) if options.grazing else [])
         followed = _joined(followed, CurveSet(list(curves), [curve.errors for curve in curves], []))
     return followed
 

@@ -8,7 +8,7 @@ is, and the height itself is one condition more. All of that is smooth (Thota an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +51,14 @@ class ArcSequence(NamedTuple):
     def events(self) -> int:
         """How many walls and surfaces the orbit passes."""
         return int(np.sum(self.event < self.side.shape[1]))
+
+    def same_as(self, other: ArcSequence) -> bool:
+        """Return whether another orbit has the same events on the same sides, and touches at the same of them."""
+        return (
+            self.touch == other.touch
+            and np.array_equal(self.event, other.event)
+            and np.array_equal(self.side, other.side)
+        )
 
 
 class ArcEnds(NamedTuple):
@@ -108,6 +116,14 @@ class GrazingOrbit(NamedTuple):
         """The orbit's points at the beginnings of periods."""
         return self.begun[self.sequence.first, :-1]
 
+    def turned(self) -> Iterator[GrazingOrbit]:
+        """The same orbit from each of its periods on."""
+        (event, side, touch), m = self.sequence, len(self.length)
+        for k in self.sequence.first.tolist():
+            sequence = ArcSequence(np.roll(event, -k), np.roll(side, -k, axis=0), (touch - k) % m)
+            begun, length = np.roll(self.begun, -k, axis=0), np.roll(self.length, -k)
+            yield self._replace(sequence=sequence, begun=begun, length=length)
+
 
 class GrazingEquations(EquationsOfPaths):
     """Orbits that touch as `core.CurveEquations`, unknowns in their units: arcs, their lengths, and parameters.
@@ -142,7 +158,7 @@ class GrazingEquations(EquationsOfPaths):
         (begun,), (length,), (values,) = self.parts(z[None])
         (left,) = self.parts(step[None])[2]
         rounding = np.abs(left) + np.spacing(np.abs(values))
-        return GrazingOrbit(self._sequence, begun, length, values, self._multipliers(blocks), rounding)
+        return GrazingOrbit(self._sequence, begun, length, values, self.multipliers(blocks[None])[0], rounding)
 
     def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
         """What is missing to an orbit, derivatives of each arc, and those of all in the unknowns."""
@@ -179,7 +195,7 @@ class GrazingEquations(EquationsOfPaths):
         return LinearSolution(least, null, other, np.linalg.det(square))
 
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
-        """The same orbit as it is: of those that begin with other periods other arcs touch."""
+        """The orbit as it is: where it begins with another of its periods, another of its arcs touches."""
         return (z,)
 
     def endings(
@@ -200,13 +216,15 @@ class GrazingEquations(EquationsOfPaths):
             over = height * side[:, None] < -_BEYOND * np.ptp(height, axis=1)[:, None]
         return ~known | np.any(over.reshape(lanes, -1), axis=1) | np.any(length <= 0.0, axis=1)
 
-    def _multipliers(self, blocks: Float[np.ndarray, "m e e"]) -> Complex[np.ndarray, " d"]:
+    def multipliers(self, blocks: Float[np.ndarray, "lanes m e e"]) -> Complex[np.ndarray, "lanes d"]:
         """Multipliers of the points at the beginning of a period, whose time does not vary."""
-        whole = np.eye(self._d + 1)
-        for block in blocks:
-            whole = block @ whole
-        values = np.linalg.eigvals(whole[:-1, :-1]).astype(complex)
-        return values[np.lexsort((np.imag(values), -np.abs(values)))]
+        whole = np.broadcast_to(np.eye(self._d + 1), (len(blocks), self._d + 1, self._d + 1))
+        for k in range(blocks.shape[1]):
+            whole = blocks[:, k] @ whole
+        known = np.isfinite(whole).all(axis=(1, 2))
+        values = np.linalg.eigvals(np.where(known[:, None, None], whole, 0.0)[:, :-1, :-1]).astype(complex)
+        values = np.take_along_axis(values, np.lexsort((np.imag(values), -np.abs(values)), axis=-1), axis=-1)
+        return np.where(known[:, None], values, np.nan)
 
 
 def grazing_orbit(
