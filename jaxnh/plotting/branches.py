@@ -17,7 +17,7 @@ from jaxnh.plotting.meanings import meanings
 from jaxnh.plotting.style import CURVES
 
 _INK = LinearSegmentedColormap.from_list("ink", ("#d4d4d4", "#808080"))
-MARKS = {"fold": "s", "period doubling": "o", "neimark sacker": "^", "branch point": "D", "hopf": "v"}
+MARKS = {"fold": "s", "period doubling": "o", "neimark sacker": "^", "branch point": "D", "hopf": "v", "grazing": "P"}
 """The mark of a kind of bifurcation."""
 _PERIODS = 8  # that the legend names, the shortest first
 

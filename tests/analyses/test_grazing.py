@@ -1,0 +1,234 @@
+"""Orbits that graze on branches and along curves, against motions between impacts in closed form."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import jaxnh
+from jaxnh.analyses.continuation.curve_tables import CURVE_KINDS
+from jaxnh.analyses.continuation.families import orbit_family
+from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
+from jaxnh.analyses.continuation.grazing import arc_problem, may_graze, with_grazing
+from jaxnh.analyses.periodic.location import refined_maps
+from jaxnh.orbits.bifurcations.grazing import ArcSequence, grazing_orbit, touching
+from jaxnh.orbits.continuation.kinds import GRAZING, KINDS
+from jaxnh.orbits.continuation.paths import ENDS, GRAZES, RANGE, StepControl
+from jaxnh.solvers import dopri8
+from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from tests.helpers.batches import batch_of
+from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
+
+OMEGA = 2.8
+FORCED = 1 / (1 - OMEGA**2)  # x = FORCED cos ωt without a wall
+IMPACT = f"""
+import jax.numpy as jnp
+
+
+def system(omega={OMEGA}, r=0.8, s=0.0):
+    def rhs(y, t):
+        x, v = y
+        return v, jnp.cos(omega * t) - x
+
+    wall = {{"when": lambda y, t: y[0] - s, "direction": "up", "then": lambda y, t: (y[0], -r * y[1])}}
+    return {{"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / omega, "jumps": [wall]}}
+"""
+
+
+class Motion(NamedTuple):
+    """x″ + x = cos ωt from x, v at the time t on, in closed form."""
+
+    t: float
+    x: float
+    v: float
+
+    def at(self, t):
+        a, b = self.x - FORCED * np.cos(OMEGA * self.t), self.v + FORCED * OMEGA * np.sin(OMEGA * self.t)
+        later, phase = t - self.t, OMEGA * t
+        x = FORCED * np.cos(phase) + a * np.cos(later) + b * np.sin(later)
+        return x, -FORCED * OMEGA * np.sin(phase) - a * np.sin(later) + b * np.cos(later)
+
+
+def impacts_of(point, s, r, end):
+    """Times and speeds of the impacts from a point at t = 0 on, and the turn next to the wall between them."""
+    motion, impacts, nearest = Motion(0.0, *point), [], (np.inf, 0.0)
+    while True:
+        times = np.linspace(motion.t + 1e-6, end, 4000)
+        x, v = motion.at(times)
+        hits = np.flatnonzero((x[:-1] < s - 1e-6) & (x[1:] >= s - 1e-6) & (v[:-1] > 1e-2))
+        last = hits[0] if len(hits) else len(times) - 2
+        turns = np.flatnonzero((v[:-1] > 0) & (v[1:] <= 0) & (np.arange(len(v) - 1) < last))
+        for k in turns:
+            t = brentq(lambda t, m=motion: m.at(t)[1], times[k], times[k + 1])
+            nearest = min(nearest, (abs(motion.at(t)[0] - s), t))
+        if not len(hits):
+            return np.array(impacts), nearest[1]
+        t = brentq(lambda t, m=motion: m.at(t)[0] - s, times[last], times[last + 1] + 1e-5)
+        impacts.append((t, motion.at(t)[1]))
+        motion = Motion(t, s, -r * impacts[-1][1])
+
+
+def grazing_near(point, s, r, periods):
+    """Impact times and speeds, the time of the touch and the place of the wall, nearly."""
+    impacts, touch = impacts_of(point, s, r, periods * 2 * np.pi / OMEGA)
+    return np.array([*impacts[:, 0], *impacts[:, 1], touch, s])
+
+
+def grazing_exactly(z, r, periods):
+    """The same of the orbit that grazes, by Newton in closed form."""
+    end, count = periods * 2 * np.pi / OMEGA, len(z) // 2 - 1
+
+    def missing(z):
+        t, v, (touch, s) = z[:count], z[count : 2 * count], z[2 * count :]
+        rows, before = [], int(np.sum(t < touch)) - 1  # −1: the impact of the orbit's last turn
+        for k in range(count):
+            x, speed = Motion(t[k], s, -r * v[k]).at(t[(k + 1) % count] + end * (k + 1 == count))
+            rows += [x - s, speed - v[(k + 1) % count]]
+        x, speed = Motion(t[before] - end * (before < 0), s, -r * v[before]).at(touch)
+        return np.array([*rows, x - s, speed])
+
+    for _ in range(12):
+        slopes = np.stack([(missing(z + e) - missing(z - e)) / 2e-6 for e in 1e-6 * np.eye(len(z))], axis=1)
+        step = np.linalg.solve(slopes, missing(z))
+        z = z - step
+    assert np.abs(step).max() < 1e-13
+    return z
+
+
+def impact_oscillator(r=0.8, omega=OMEGA, s=0.0):
+    """As in the file."""
+    wall = {"when": lambda y, t: y[0] - s, "direction": "up", "then": lambda y, t: (y[0], -r * y[1])}
+    rhs = lambda y, t: (y[1], jnp.cos(omega * t) - y[0])  # noqa: E731
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * np.pi / omega, "jumps": [wall]}
+
+
+@pytest.fixture
+def quick_lanes():
+    return lanes_with_kept_programs(None, jax.devices()[:1], 32, QUICKLY_COMPILED)
+
+
+def oscillators():
+    """A batch over the wall's place."""
+    flow = piecewise_smooth(impact_oscillator, {"r": 0.8, "omega": OMEGA, "s": 0.0})
+    return batch_of(flow, flow.start({"x": -0.1, "v": 0.0}), [-0.3, 0.3], dopri8, 40, name="s")
+
+
+def test_an_orbit_that_touches_the_wall(quick_lanes):
+    """x = FORCED cos ωt does where s is its amplitude, 1/(ω² − 1); its multipliers are those without a wall."""
+    batch, period = oscillators(), 2 * np.pi / OMEGA
+    problem = arc_problem(batch, quick_lanes, ("s",), (np.array([-0.3]), np.array([0.3])), np.ones(2))
+    without = ArcSequence(np.array([2]), np.array([[-1.0]]), 0)
+    near = touching(without, np.array([[FORCED, 0.01, 0.0]]), np.array([period]), 0, 0.48, np.array([0.14, 0.1]), 0)
+    orbit = grazing_orbit(problem, *near, np.array([0.16]))
+    assert abs(orbit.values[0] + FORCED) < 1e-13  # of a method of order eight with 40 steps
+    assert orbit.begun == pytest.approx(np.array([[FORCED, 0.0, 0.0], [-FORCED, 0.0, 0.5 * period]]), abs=1e-12)
+    assert np.sort_complex(orbit.multipliers) == pytest.approx(np.exp([-1j * period, 1j * period]), abs=1e-12)
+    assert [one.points.tolist() for one in orbit.turned()] == [orbit.points.tolist()]
+
+
+@pytest.mark.slow
+def test_a_branch_ends_where_its_orbit_touches_the_wall(lanes):
+    """The same, found where Newton by shooting no longer converges."""
+    batch, begun = oscillators(), [SeedOrbit(np.array([[FORCED, 0.0]]), 0.2)]
+    families = [orbit_family(batch, lanes, strobe, np.ones(2), (-0.3, 0.3)) for strobe in refined_maps(batch)]
+    assert may_graze(batch)
+    tree = with_grazing(batch, lanes, families[0], grow(families, [begun], 1, StepControl(0.25)), np.ones(2))
+    [branch], [point] = tree.branches, tree.bifurcations
+    assert branch.ends == (GRAZES, RANGE)
+    assert (point.kind, point.branch, point.place) == (GRAZING, 0, 0)
+    assert abs(point.value + FORCED) <= point.error < 1e-13
+    assert point.points == pytest.approx(np.array([[FORCED, 0.0]]), abs=1e-13)
+
+
+@pytest.mark.slow
+def test_impacting_orbits_that_graze(tmp_path):
+    """Every branch of periods up to 4 that ends with no_convergence by shooting ends where its orbit grazes."""
+    (tmp_path / "impact.py").write_text(IMPACT)
+    (tmp_path / "impact.yaml").write_text(
+        "system: {file: impact.py}\ninitial: {x: -0.1}\nsweep: {s: {start: -0.3, stop: 0.3, count: 33}}\n"
+        "accuracy: {target: 1.0e-9}\nanalyses:\n  branches: {max_period: 4, n_starts: 8, n_values: 5, seed: 1, "
+        "box: {x: [-1, 0], v: [-1, 1]}}\n"
+    )
+    tree = session_of(jaxnh.load(tmp_path / "impact.yaml")).tree()
+    branches, points = (tree[name].to_dataset() for name in ("branches", "bifurcations"))
+    ends = [ENDS[k] for name in ("begins", "ends") for k in branches[name].values]
+    assert ends.count("no_convergence") == 0
+    assert ends.count("grazing") > 8
+    grazing = points.isel(bifurcation=np.flatnonzero(points["kind"] == KINDS.index("grazing")))
+    checked = 0
+    for k in range(grazing.sizes["bifurcation"]):
+        one = grazing.isel(bifurcation=k)
+        s, error, n = float(one["s"]), float(one["s_error"]), int(one["period"])
+        orbit = np.array([one["x_points"].values[0], one["v_points"].values[0]])
+        if len(impacts_of(orbit, s, 0.8, n * 2 * np.pi / OMEGA)[0]):
+            exact = grazing_exactly(grazing_near(orbit, s, 0.8, n), 0.8, n)[-1]
+            assert abs(s - exact) <= error + 1e-14
+            checked += 1
+        else:
+            assert abs(abs(s) - abs(FORCED)) <= error
+        assert error < 1e-10
+    assert checked > 5
+
+
+@pytest.mark.slow
+def test_curves_of_impacting_orbits_that_graze(tmp_path):
+    """Over the wall's place and the restitution: every point within its error of the closed form."""
+    (tmp_path / "impact.py").write_text(IMPACT)
+    (tmp_path / "impact.yaml").write_text(
+        "system: {file: impact.py}\ninitial: {x: -0.1}\nsweep: {s: {start: -0.2, stop: 0.3, count: 9}, "
+        "r: {start: 0.6, stop: 0.9, count: 3}}\naccuracy: {target: 1.0e-9}\nanalyses:\n  curves: {max_period: 2, "
+        "n_values: 2, transient: 128, bifurcations: false, grazing: true, ds_max: 0.1}\n"
+    )
+    data = session_of(jaxnh.load(tmp_path / "impact.yaml")).tree()["curves"].to_dataset()
+    assert {CURVE_KINDS[kind] for kind in data["kind"].values} == {"grazing"}
+    assert data["period"].values.tolist() == [1, 2]
+    for k in range(2):
+        known = np.isfinite(data["s"].values[k])
+        s, r, s_error, r_error = (data[name].values[k][known] for name in ("s", "r", "s_error", "r_error"))
+        assert (r.min(), r.max()) == pytest.approx((0.6, 0.9))
+        assert max(s_error.max(), r_error.max()) < 1e-11
+        if k == 0:  # without an impact, whatever the restitution
+            assert np.all(np.abs(s + FORCED) <= s_error)
+            continue
+        first = int(np.argmin(np.abs(r - 0.8)))
+        near = grazing_near(np.array([-0.47434507614, 7.91376931e-05]), s[first], r[first], 2)
+        for part in (range(first, len(s)), range(first, -1, -1)):
+            z = near
+            for one in part:
+                z = grazing_exactly(z, r[one], 2)
+                slope = abs(grazing_exactly(z, r[one] + 1e-5, 2)[-1] - z[-1]) / 1e-5
+                assert abs(s[one] - z[-1]) <= s_error[one] + slope * r_error[one] + 1e-14
+
+
+BILINEAR = """
+import jax.numpy as jnp
+
+
+def system(force=0.3, zeta=0.1, omega=0.8, stiffer=2.0):
+    def rhs(y, t, side):
+        x, v = y
+        return v, force * jnp.cos(omega * t) - 2 * zeta * v - x - jnp.where(side[0] > 0, stiffer * (x - 1.0), 0.0)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / omega, "switches": [{"on": lambda y, t: y[0] - 1.0}]}
+"""
+
+
+@pytest.mark.slow
+def test_a_bilinear_oscillator_first_touches_its_corner(tmp_path):
+    """A second spring is met at x = 1, which the linear one's amplitude is at F = √((1 − ω²)² + 4ζ²ω²); the branch goes on."""
+    (tmp_path / "bilinear.py").write_text(BILINEAR)
+    (tmp_path / "bilinear.yaml").write_text(
+        "system: {file: bilinear.py}\ninitial: {x: 0.1}\nsweep: {force: {start: 0.2, stop: 0.8, count: 4}}\n"
+        "accuracy: {target: 1.0e-9}\nanalyses:\n  branches: {max_period: 1, transient: 128}\n"
+    )
+    tree = session_of(jaxnh.load(tmp_path / "bilinear.yaml")).tree()
+    branches, points = (tree[name].to_dataset() for name in ("branches", "bifurcations"))
+    [grazing] = np.flatnonzero(points["kind"] == KINDS.index("grazing"))
+    force, error = (float(points[name][grazing]) for name in ("force", "force_error"))
+    assert abs(force - np.hypot(1 - 0.64, 0.16)) <= error < 1e-10
+    assert {ENDS[int(branches[name][0])] for name in ("begins", "ends")} == {"range"}
