@@ -83,33 +83,43 @@ def test_multiplier_that_changes_within_a_small_part_of_a_step(steepness):
     assert abs(points[0].value - 1 / np.pi) <= points[0].error < 1e-9
 
 
-def test_a_fold_and_a_doubling_within_a_step():
-    """x → x + A(μ − x²) beside what comes to z = g(x), y = 0 by halves and at once: a fold at 0, a doubling at 1/A².
+STEEPNESS = 1e4
 
-    The multiplier of ±√μ is 1 − 2Ax. Newton's first step from a z that is off by δ leaves y wrong by 10⁶ δ², so that
-    the second is no shorter where δ is 10⁻⁶, as it is between points of a curve that bends; the third is none.
-    """
-    steepness = 1e4
+
+def turning_within_a_step(off):
+    """The map of the next tests, with z = g(x) + off."""
 
     def bend(x):
         return 0.1 * np.sin(10.0 * x), np.cos(10.0 * x)
 
     def period(u, mu):
         x, z, _ = u.T
-        image, slope = x + steepness * (mu - x * x), 1.0 - 2.0 * steepness * x
+        image, slope = x + STEEPNESS * (mu - x * x), 1.0 - 2.0 * STEEPNESS * x
         (now, rate), (then, after) = bend(x), bend(image)
+        now, then = now + off, then + off
         matrix = np.zeros((len(u), 3, 3))
         matrix[:, 0, 0], matrix[:, 1, 0], matrix[:, 1, 1] = slope, after * slope - 0.5 * rate, 0.5
         matrix[:, 2, 0], matrix[:, 2, 1] = -2e6 * (z - now) * rate, 2e6 * (z - now)
         both = np.stack([image, then + 0.5 * (z - now), 1e6 * (z - now) ** 2], axis=1)
-        return Derivatives(both, matrix, steepness * np.stack([np.ones(len(u)), after, np.zeros(len(u))], axis=1))
+        return Derivatives(both, matrix, STEEPNESS * np.stack([np.ones(len(u)), after, np.zeros(len(u))], axis=1))
 
-    family = Family(period, lambda gap: gap, np.ones(3), -0.5, 0.5)
-    tree = grow([family] * 3, [[SeedOrbit(np.array([[0.5, 0.1 * np.sin(5.0), 0.0]]), 0.25)]], 1, StepControl(0.05))
+    return Family(period, lambda gap: gap, np.ones(3), -0.5, 0.5)
+
+
+@pytest.mark.parametrize("off", [0.0, 3e-4])
+def test_a_fold_and_a_doubling_within_a_step(off):
+    """x → x + A(μ − x²) beside what comes to z = g(x), y = 0 by halves and at once: a fold at 0, a doubling at 1/A².
+
+    The multiplier of ±√μ is 1 − 2Ax. Newton's first step from a z that is off by δ leaves y wrong by 10⁶ δ², so that
+    the second is no shorter where δ is 10⁻⁶, as it is between points of a curve that bends; the third is none. Where z is
+    off by 3·10⁻⁴ in finer maps, the first step goes out by more than a chord, and the second comes back.
+    """
+    families = [turning_within_a_step(each) for each in (0.0, off, 1.01 * off)]
+    tree = grow(families, [[SeedOrbit(np.array([[0.5, 0.1 * np.sin(5.0), 0.0]]), 0.25)]], 1, StepControl(0.05))
     kinds, points = named(tree)
     assert kinds == [("fold", 1), ("period_doubling", 1)]
     assert not tree.lost
-    for point, exact in zip(points, (0.0, steepness**-2), strict=True):
+    for point, exact in zip(points, (0.0, STEEPNESS**-2), strict=True):
         assert abs(point.value - exact) <= point.error < 1e-9
 
 

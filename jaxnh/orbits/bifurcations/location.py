@@ -32,6 +32,7 @@ _ENOUGH = 1e-3  # of how far a zero is from that of the map before: a less error
 _CLOSER = 10  # times that a bracket in which no polynomial fits is narrowed to where the test function changes sign
 _NEAR = (1 / 64, 1 / 4, 2.0)  # of a chord, about the place of a zero of a less fine map
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
+_OUT = 32.0  # times how far Newton may end from its guess, that its steps may be long
 _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
 _ON_CIRCLE = 1e-4  # of a modulus from one, where the product of two multipliers is one to rounding
@@ -255,8 +256,19 @@ def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, "some k"
     size = inner(family, chord, chord)
     gone = inner(family, PathVector(points - begun.points, value - begun.value), chord) / size
     more = times(share.ravel() - gone, chord)
-    across, slack = times(1.0 / np.sqrt(size), chord), NEAR * np.sqrt(size)
-    return correct(family, points + more.points, value + more.value, across, FINE, slack)
+    across, near = times(1.0 / np.sqrt(size), chord), NEAR * np.sqrt(size)
+    guess = PathVector(points + more.points, value + more.value)
+    orbits = correct(family, *guess, across, FINE, near)
+    # Beside steep multipliers Newton from orbits of a less fine map goes out by chords and comes back: where it ends
+    # says whether it has gone over to another curve.
+    left = np.flatnonzero(~orbits.converged)
+    if len(left):
+        part = jax.tree.map(lambda leaf: leaf[left], (guess, across, near))
+        again = correct(family, *part[0], part[1], FINE, _OUT * part[2])
+        again = again._replace(converged=again.converged & (again.missed <= part[2]))
+        for leaf, new in zip(jax.tree.leaves(orbits), jax.tree.leaves(again), strict=True):
+            leaf[left] = new
+    return orbits
 
 
 def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some"], along: PathVector) -> CurveOrbits:
