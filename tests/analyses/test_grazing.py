@@ -196,7 +196,7 @@ def test_curves_of_impacting_orbits_that_graze(tmp_path):
             assert np.all(np.abs(s + FORCED) <= s_error)
             continue
         first = int(np.argmin(np.abs(r - 0.8)))
-        near = grazing_near(np.array([-0.47434507614, 7.91376931e-05]), s[first], r[first], 2)
+        near = grazing_near(np.array([-0.47434507614, 7.91376931e-05]), 0.049134403319, 0.8, 2)
         for part in (range(first, len(s)), range(first, -1, -1)):
             z = near
             for one in part:
