@@ -147,7 +147,10 @@ def test_a_branch_ends_where_its_orbit_touches_the_wall(lanes):
 
 @pytest.mark.slow
 def test_impacting_orbits_that_graze(tmp_path):
-    """Every branch of periods up to 4 that ends with no_convergence by shooting ends where its orbit grazes."""
+    """Branches of periods up to 4 that Newton by shooting loses end where orbits graze, to rounding of the closed form.
+
+    But for those whose orbits have an impact at the very strobe, where the state that the map sees jumps.
+    """
     (tmp_path / "impact.py").write_text(IMPACT)
     (tmp_path / "impact.yaml").write_text(
         "system: {file: impact.py}\ninitial: {x: -0.1}\nsweep: {s: {start: -0.3, stop: 0.3, count: 33}}\n"
@@ -156,9 +159,12 @@ def test_impacting_orbits_that_graze(tmp_path):
     )
     tree = session_of(jaxnh.load(tmp_path / "impact.yaml")).tree()
     branches, points = (tree[name].to_dataset() for name in ("branches", "bifurcations"))
-    ends = [ENDS[k] for name in ("begins", "ends") for k in branches[name].values]
-    assert ends.count("no_convergence") == 0
-    assert ends.count("grazing") > 8
+    ends = np.array([[ENDS[k] for k in branches[name].values] for name in ("begins", "ends")])
+    assert np.sum(ends == "grazing") > 8
+    for which, k in np.argwhere(ends == "no_convergence"):
+        last = np.flatnonzero(np.isfinite(branches["s"].values[k]))[[0, -1][which]]
+        away = branches["x_points"].values[k, last] - branches["s"].values[k, last]
+        assert np.nanmin(np.abs(away)) < 1e-6
     grazing = points.isel(bifurcation=np.flatnonzero(points["kind"] == KINDS.index("grazing")))
     checked = 0
     for k in range(grazing.sizes["bifurcation"]):
@@ -171,7 +177,7 @@ def test_impacting_orbits_that_graze(tmp_path):
             checked += 1
         else:
             assert abs(abs(s) - abs(FORCED)) <= error
-        assert error < 1e-10
+        assert error < 1e-11
     assert checked > 5
 
 
