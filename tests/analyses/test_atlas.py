@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import jaxnh
 from jaxnh.analyses.registry import ANALYSES
@@ -54,6 +55,8 @@ def test_the_hopf_curve_of_the_brusselator(tmp_path):
     hopf = points.isel(bifurcation=np.flatnonzero(points["kind"] == KINDS.index("hopf")))
     assert hopf["a"].values.tolist() == [0.9, 1.1]
     assert np.all(np.abs(hopf["b"] - (1 + hopf["a"] ** 2)) <= hopf["b_error"] + 1e-12)
+    # One curve in all, and one Hopf point a row: in closed form there is no other, and by hand no cycle folds (below).
+    assert (points.sizes["bifurcation"], curves.sizes["curve"]) == (2, 1)
     [number] = np.unique(hopf["curve"])
     curve, orbit = curves.isel(curve=number), orbits.isel(curve=number, iterate=0)
     assert KINDS[int(curve["kind"])] == "hopf"
@@ -88,6 +91,37 @@ def test_the_hopf_curve_of_the_brusselator(tmp_path):
     assert dict(layers["hopf"][0].facts(0))["on the curve of number"] == f"{number}"
     assert {float(item.y[0]) for item in layers["period 1, stable"]} == {0.9, 1.1}
     assert "complete to orbits of periods up to 1" in limits_of(source.overlays)[0]
+
+
+@pytest.mark.slow
+def test_the_brusselator_has_no_other_curve():
+    """What the atlas's count is held against: one curve of Hopf points, and none of folds or doublings.
+
+    The Jacobian at the equilibrium (a, b/a) has the determinant a² and the trace b − 1 − a²: no fold, and Hopf points on
+    one curve. Cycles are zeros of P(y) − y of the returns to u = 0, rising, y > b/a, by DOP853: one beyond the curve,
+    where P(y) − y passes zero from above to below, so that none folds, and none in front of it. In a plane none doubles.
+    """
+
+    def excess(a, b, y):
+        def rates(t, s):
+            x = s[0] + a
+            return a - (b + 1.0) * x + x * x * s[1], b * x - x * x * s[1]
+
+        def crosses(t, s):
+            return s[0]
+
+        crosses.direction = 1
+        whole = solve_ivp(rates, (0.0, 60.0), [0.0, y], "DOP853", rtol=1e-10, atol=1e-12, events=crosses)
+        return whole.y_events[0][whole.t_events[0] > 0.1][0, 1] - y
+
+    for a in (0.9, 1.0, 1.1):
+        for b in (1.5, 1.75, 2.0, 2.25, 2.5):
+            if abs(b - 1 - a * a) < 0.05:
+                continue
+            beyond = np.array([excess(a, b, b / a + gap) for gap in (0.05, 0.15, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0)])
+            changes = np.flatnonzero(np.diff(np.sign(beyond)))
+            assert len(changes) == (b > 1 + a * a), (a, b, beyond)
+            assert beyond[-1] < 0.0
 
 
 @pytest.mark.slow
