@@ -201,3 +201,85 @@ def test_symmetric_cycles_of_the_circuit():
         image, which = (mirrored, "period_doubling") if kind == "branch_point" else (whole, kind)
         exact, _ = bifurcation(image, which, value, u)
         assert abs(value - exact) < min(1e-8, error + 1e-11)
+
+
+ADAPTIVE = """
+def system(alpha=0.8, beta=1.0):
+    def rhs(state, t):
+        x, y, z = state
+        return y, z, -alpha * z - beta * y - x + x**2
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+"""
+
+MORRIS_LECAR = """
+import jax.numpy as jnp
+
+
+def system(y=0.08, z=0.1):
+    def rhs(state, t):
+        v, w = state
+        opened, rest = (1 + jnp.tanh((v + 0.01) / 0.15)) / 2, (1 + jnp.tanh((v - z) / 0.145)) / 2
+        calm = y - 0.5 * (v + 0.5) - 2 * w * (v + 0.7)
+        return calm - opened * (v - 1), 1.15 * (rest - w) * jnp.cosh((v - 0.1) / 0.29)
+
+    return {"rhs": rhs, "coordinates": ("v", "w")}
+"""
+
+
+def adaptive(x, y, z, alpha, t):
+    """As in the file."""
+    return y, z, -alpha * z - y - x + x * x
+
+
+def morris_lecar(v, w, y, t):
+    """As in the file, at z = 0.1."""
+    real, (tanh, cosh) = taylor.REAL, (hy.tanh, hy.cosh) if isinstance(v, hy.expression) else (np.tanh, np.cosh)
+    half = real(0.5)
+    opened, rest = half * (1 + tanh((v + real(0.01)) / real(0.15))), half * (1 + tanh((v - real(0.1)) / real(0.145)))
+    calm = y - half * (v + half) - 2 * w * (v + real(0.7))
+    return calm - opened * (v - 1), real(1.15) * (rest - w) * cosh((v - real(0.1)) / real(0.29))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("text", "config", "rates", "section", "others", "known"),
+    [
+        (
+            ADAPTIVE,
+            "initial: {x: 0.2, y: 0.2}\nsection: {coordinate: x, value: 0.1, direction: up}\n"
+            "sweep: {alpha: {start: 0.6, stop: 0.9, count: 5}}\n",
+            adaptive,
+            (3, 0, 0.1, 1),
+            ("y", "z"),
+            ("period_doubling", 0.6303020),
+        ),
+        (
+            MORRIS_LECAR,
+            "initial: {v: -0.1, w: 0.2}\nsection: {coordinate: v, value: 0.0, direction: up}\n"
+            "sweep: {y: {start: 0.078, stop: 0.09, count: 5}}\n",
+            morris_lecar,
+            (2, 0, 0.0, 1),
+            ("w",),
+            ("fold", 0.08456948),
+        ),
+    ],
+    ids=["adaptx", "MLfast"],
+)
+def test_cycles_of_matconts_manual(tmp_path, text, config, rates, section, others, known):
+    """The doubling of `adaptx` and the fold of `MLfast`, to all digits that MatCont's manual (2019) has.
+
+    By 20 and 30 intervals of four points: 5e-8 and 5e-9 are half a unit of the last digit.
+    """
+    (tmp_path / "flow.py").write_text(text)
+    (tmp_path / "flow.yaml").write_text(
+        f"system: {{file: flow.py}}\n{config}accuracy: {{target: 1.0e-10}}\n"
+        "analyses: {branches: {max_period: 1, transient: 128}}\n"
+    )
+    data = session_of(jaxnh.load(tmp_path / "flow.yaml")).tree()["bifurcations"].to_dataset()
+    name, (kind, published) = data.attrs["along"], known
+    [k] = np.flatnonzero(data["kind"] == KINDS.index(kind))
+    value, error = float(data[name][k]), float(data[f"{name}_error"][k])
+    exact, _ = bifurcation(section_map(rates, *section), kind, value, [float(data[one][k]) for one in others])
+    assert abs(value - exact) < min(1e-8, error + 1e-11)
+    assert abs(exact - published) < (5e-8 if kind == "period_doubling" else 5e-9)
