@@ -156,6 +156,42 @@ def test_border_of_a_tongue_of_van_der_pols_oscillator():
         assert turns["denominator"].to_numpy().ravel()[1] == 3
 
 
+@pytest.mark.slow
+def test_border_of_a_tongue_of_van_der_pols_oscillator_by_heyoka():
+    """Three points of that fold to 1e-8 of a Newton on P³, by a Taylor series, and within their errors."""
+    hy = pytest.importorskip("heyoka")
+    newton = pytest.importorskip("tests.helpers.heyoka_newton")
+    real = newton.REAL
+    session = jaxnh.Session(forced_van_der_pol, start={"x": 1.0}, target=1e-10)
+    options = jaxnh.Curves(max_period=3, transient=1024, n_values=1, ds_max=0.05)
+    data = session.run(options, drive=np.linspace(0.6, 2.1, 6), mu=np.array([0.45, 0.5, 0.55]))
+    fold = np.flatnonzero((jaxnh.labels(data["kind"]) == "fold") & (data["period"] == 3))[0]
+    names = ("drive", "mu", "drive_error", "mu_error")
+    drive, mu, drive_error, mu_error = (data[name].to_numpy()[fold] for name in names)
+    known = np.flatnonzero(np.isfinite(drive))
+
+    def image(at):
+        def rates(x, v, drive, t):
+            cosine = hy.cos if isinstance(x, hy.expression) else np.cos
+            return v, real(at) * (1 - x * x) * v - x + drive * cosine(real(2.9) * t)
+
+        return newton.strobe_map(rates, 2, 2 * np.arccos(real(-1)) / real(2.9), 3)
+
+    def fold_at(at, near, inside):
+        u, returns = np.array([1.0, 0.0]), image(at)
+        for _ in range(400):  # to the orbit that attracts, near the fold with the one that does not
+            u = returns(near + inside, u)[0].astype(float)
+        return newton.bifurcation(returns, "fold", near, u)[0]
+
+    for place in known[[len(known) // 4, len(known) // 2, 3 * len(known) // 4]]:
+        exact = fold_at(mu[place], drive[place], 1e-6)
+        beside = fold_at(mu[place] + 1e-6, drive[place], 1e-5)
+        slope = abs(beside - exact) / 1e-6
+        gap = abs(drive[place] - exact)
+        assert gap < 1e-8
+        assert gap <= drive_error[place] + slope * mu_error[place] + 1e-11  # of differences in the reference
+
+
 def test_chaos_has_no_rotation_number():
     """A torus of the standard map has one, the chaotic sea has not: its average converges no better than a plain one."""
     session = jaxnh.Session(standard, start={"angle": 0.3, "momentum": TURN * GOLDEN})

@@ -164,3 +164,37 @@ def test_forced_van_der_pol():
     period = TURN / 1.1
     missed = np.abs(data["growth"][:, 0] - period * exponents["exponents"][:, 1])
     assert np.all(missed < data["growth_error"][:, 0] + period * exponents["exponents_error"][:, 1])
+
+
+@pytest.mark.slow
+def test_torus_of_forced_van_der_pol_by_heyoka():
+    """Rotation numbers of its curves against those of 6,000 strobes by a Taylor series, within bars below 1e-10.
+
+    Advances of the angle about the origin, which the curve is around, averaged with the weights exp(−1/(s(1 − s))), come
+    to a rotation number faster than any power (Das, Sander and co-workers, Nonlinearity 30 (2017) 4111).
+    """
+    hy = pytest.importorskip("heyoka")
+
+    def forced(mu=0.5, drive=0.2, omega=1.1):
+        def rhs(y, t):
+            x, v = y
+            return v, mu * (1 - x * x) * v - x + drive * jnp.cos(omega * t)
+
+        return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / omega}
+
+    drive, count = np.array([0.1, 0.25, 0.4]), 6000
+    data = jaxnh.Session(forced, start={"x": 1.0}).run(jaxnh.Tori(), drive=drive)
+    x, v = hy.make_vars("x", "v")
+    motion = [(x, v), (v, 0.5 * (1 - x * x) * v - x + hy.par[0] * hy.cos(1.1 * hy.time))]
+    for k, value in enumerate(drive):
+        ta = hy.taylor_adaptive(motion, [1.0, 0.0], pars=[value], compact_mode=True)
+        angles = []
+        for _ in range(200 + count + 1):
+            angles.append(np.arctan2(ta.state[1], ta.state[0]))
+            ta.time = 0.0
+            ta.propagate_until(TURN / 1.1)
+        share = (np.arange(count) + 0.5) / count
+        weights = np.exp(-1.0 / (share * (1.0 - share)))
+        turns = np.sum(weights * np.mod(np.diff(angles[200:]) / TURN, 1.0)) / np.sum(weights)
+        assert abs(float(data["rotation"][k]) - turns) <= float(data["rotation_error"][k]) + 1e-13
+        assert float(data["rotation_error"][k]) < 1e-10
