@@ -369,7 +369,7 @@ def test_backbone_of_duffings_oscillator(tmp_path):
     ]
     gap = np.abs(duration_of_duffing(energy, alpha) - 5.0)
     assert np.all(gap <= slopes[0] * energy_error + slopes[1] * alpha_error + 1e-14)
-    assert max(energy_error.max(), alpha_error.max()) < 1e-7
+    assert max(energy_error.max(), alpha_error.max()) < 1e-8
     assert np.ptp(alpha) > 1.0
     assert np.nanmax(np.abs(data["duration"].values - 5.0)) < 1e-12
 

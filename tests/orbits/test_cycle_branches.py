@@ -76,8 +76,17 @@ def test_canards_are_passed():
     assert branch.ends[1] == RANGE
     last = branch.points[-1]
     assert last.value == 0.95
-    guess = first_cycle(slow_fast(0.95)["rhs"], (2.0, 0.0), 0.95, 200)
-    assert abs(last.solution.duration[0] - guess.duration[0]) < 1e-6  # that of LSODA
+
+    def rates(t, y):
+        return slow_fast(0.95)["rhs"](y, t)
+
+    def passes(t, y):
+        return y[0]
+
+    passes.direction = 1
+    path = solve_ivp(rates, (0.0, 8.0), [2.0, 0.0], "DOP853", rtol=1e-13, atol=1e-13, events=passes)
+    [duration] = np.diff(path.t_events[0])
+    assert abs(last.solution.duration[0] - duration) < 1e-11  # of DOP853, on an orbit that attracts by 1e-20 a turn
     assert abs(last.multipliers[0]) < 1e-20
 
 
