@@ -30,14 +30,14 @@ class EventSequence(NamedTuple):
     """The events that a motion meets in a period, in order, with room for more.
 
     Attributes:
-        count: of them; one more than there is room for where there are too many.
+        met: number of them; one more than there is room for where there are too many.
         number: of the wall or surface of each, (room,).
         time: of each since the period began, (room,).
         state: coordinates after each, in front of these those at the beginning of the period, (1 + room, d).
         side: of all walls and surfaces then, +1 above, −1 below, (1 + room, k).
     """
 
-    count: Int[Array, ""]
+    met: Int[Array, ""]
     number: Int[Array, " room"]
     time: Float[Array, " room"]
     state: Float[Array, "more d"]
@@ -65,18 +65,18 @@ def event_sequence(strobe: JumpingStrobe, u: Float[Array, " d"], p: Parameters, 
     )
 
     def unfinished(known: tuple[March, EventSequence]) -> Array:
-        return lane.unfinished(known[0]) & (known[1].count <= room)
+        return lane.unfinished(known[0]) & (known[1].met <= room)
 
     def advance(known: tuple[March, EventSequence]) -> tuple[March, EventSequence]:
         march, events = known
         march, arrival = lane.trial_and_arrival(march)
-        k, met = events.count, arrival.passes
+        k, passes = events.met, arrival.passes
 
         def written(kept: Array, new: Any, place: Array) -> Array:
-            return jnp.where(met, kept.at[place].set(new, mode="drop"), kept)
+            return jnp.where(passes, kept.at[place].set(new, mode="drop"), kept)
 
         return march, EventSequence(
-            jnp.where(met, k + 1, k),
+            jnp.where(passes, k + 1, k),
             written(events.number, arrival.sought, k),
             written(events.time, march.t, k),
             written(events.state, jnp.stack(march.moving.state.y), k + 1),
@@ -84,7 +84,7 @@ def event_sequence(strobe: JumpingStrobe, u: Float[Array, " d"], p: Parameters, 
         )
 
     march, events = lax.while_loop(unfinished, advance, as_batched((first, none), zero))
-    return events._replace(count=jnp.where(march.lost, room + 1, events.count))
+    return events._replace(met=jnp.where(march.lost, room + 1, events.met))
 
 
 class ArcEnd(NamedTuple):
@@ -110,7 +110,7 @@ def arc_end(
     begun: Float[Array, " more"],
     length: ArrayLike,
     side: Float[Array, " k"],
-    event: ArrayLike,
+    event: Int[Array, ""],
     values: Float[Array, " q"],
     p: Parameters,
     names: tuple[str, ...],

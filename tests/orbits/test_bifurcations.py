@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses.continuation.families import equilibrium_family, orbit_family
-from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
+from jaxnh.analyses.continuation.family_tree import Bifurcation, SeedOrbit, grow, new_bifurcations
 from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.location import brackets
@@ -121,6 +121,32 @@ def test_a_fold_and_a_doubling_within_a_step(off):
     assert not tree.lost
     for point, exact in zip(points, (0.0, STEEPNESS**-2), strict=True):
         assert abs(point.value - exact) <= point.error < 1e-9
+
+
+def test_points_that_branches_have_in_common():
+    """Those that are kept of several hundred, some of them twice, are those of comparing every two of them."""
+    rng = np.random.default_rng(0)
+    apart = [
+        Bifurcation(int(kind), value, 1e-9, 0, 0, np.array([[x], [1.0 - x]]), np.ones(1, complex), 0.0, 0)
+        for kind, value, x in zip(
+            rng.integers(0, 3, 150), rng.choice(np.linspace(2.1, 3.8, 40), 150), rng.uniform(size=150), strict=True
+        )
+    ]
+    near = [one._replace(value=one.value + 1e-9, points=one.points[::-1] + 1e-9) for one in apart[::2]]
+    points = [[*apart, *near][k] for k in rng.permutation(225)]
+
+    def in_common(one, other):
+        close = abs(one.value - other.value) <= 1e-6 * LOGISTIC.width + one.error + other.error
+        gaps = [np.linalg.norm(np.roll(one.points, m, 0) - other.points) / np.sqrt(2) for m in range(2)]
+        return one.kind == other.kind and close and min(gaps) <= 1e-4
+
+    kept = list[int]()
+    for k, point in enumerate(points):
+        if not any(in_common(point, points[other]) for other in kept):
+            kept.append(k)
+    assert len(kept) == 150
+    assert new_bifurcations(LOGISTIC, [], points) == kept
+    assert new_bifurcations(LOGISTIC, [points[k] for k in kept], points) == []
 
 
 @pytest.mark.parametrize("step", [0.05, 0.002])

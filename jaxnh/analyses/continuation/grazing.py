@@ -21,6 +21,7 @@ from jaxnh.maps.event_arcs import EventSequence, arc_end, arc_samples, event_seq
 from jaxnh.maps.jumping import JumpingStrobe
 from jaxnh.orbits.bifurcations.grazing import (
     ArcEnds,
+    ArcPlaces,
     ArcProblem,
     ArcSequence,
     GrazingEquations,
@@ -66,7 +67,7 @@ class _Change(NamedTuple):
     reach: float
 
 
-class _Guess(NamedTuple):
+class _TouchGuess(NamedTuple):
     """Arcs near those of an orbit that touches, and how far above or below the surface it is there."""
 
     away: float
@@ -160,13 +161,14 @@ def arc_problem(
         own = (begun, length, side, event.astype(np.int32), values, at(values))
         shared = (flow, solver, np.int32(steps), float(flow.period))
         known = lanes(arc_end, shared, own, tile=_TILE, static=(names,), spread=False)
-        return tuple(ArcEnds(*map(np.array, part)) for part in known)
+        end, by_begun, by_length, by_values = (ArcEnds(*map(np.array, part)) for part in known)
+        return end, by_begun, by_length, by_values
 
     def places_of(begun: np.ndarray, length: np.ndarray, side: np.ndarray, values: np.ndarray):
         known = lanes(
             arc_samples, (flow, solver, np.int32(few)), (begun, length, side, at(values)), tile=_TILE, spread=False
         )
-        return tuple(map(np.asarray, known))
+        return ArcPlaces(*map(np.asarray, known))
 
     return ArcProblem(ends_of, places_of, batch.chart.wrap, size, float(flow.period), *ends)
 
@@ -186,7 +188,7 @@ def _events(batch: LaneBatch, lanes: LaneRunner, branch: Branch) -> EventSequenc
 
 def _changes(family: Family, branch: Branch, events: EventSequence) -> list[_Change]:
     """Places of a branch where the events change, or where it ends because Newton does not converge."""
-    count, surfaces = np.asarray(events.count), events.side.shape[-1]
+    count, surfaces = np.asarray(events.met), events.side.shape[-1]
     number = np.where(np.arange(_ROOM) < count[..., None], events.number, -1)
     known = np.all(count <= _ROOM, axis=1)
     met = np.stack([np.sum(number == k, axis=(1, 2)) for k in range(surfaces)], axis=1)
@@ -203,7 +205,7 @@ def arcs_of(events: EventSequence, place: int, n: int, period: float) -> Arcs | 
     """The arcs of an orbit of n periods from the events of all orbits of a branch; None where events coincide."""
     begun, lengths, numbers, sides, surfaces = [], [], [], [], events.side.shape[-1]
     for i in range(n):
-        k = int(events.count[place, i])
+        k = int(events.met[place, i])
         time = np.concatenate([[0.0], events.time[place, i, :k], [period]])
         begun.append(np.concatenate([events.state[place, i, : k + 1], time[: k + 1, None]], axis=1))
         lengths.append(np.diff(time))
@@ -230,7 +232,7 @@ def _first_grazing(
         arcs, values = arcs_of(events, seed, branch.period, batch.flow.period), branch.value[[seed]]
         for guess in _guesses(problem, batch, arcs, values)[:_TRIED] if arcs else []:
             orbit = grazing_orbit(problem, guess.sequence, guess.begun, guess.length, values)
-            if orbit is None or not _near(family, branch, seed, orbit, change.reach):
+            if orbit is None or not _is_near(family, branch, seed, orbit, change.reach):
                 continue
             equations = GrazingEquations(problem, orbit.sequence)
             if not equations.passes_beyond(equations.unknowns(orbit.begun, orbit.length, orbit.values)[None])[0]:
@@ -238,7 +240,7 @@ def _first_grazing(
     return None
 
 
-def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np.ndarray, " 1"]) -> list[_Guess]:
+def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np.ndarray, " 1"]) -> list[_TouchGuess]:
     """Places where an orbit may touch, those nearest first: turns before a wall or surface, and slow impacts."""
     flow, (begun, length, sequence) = batch.flow, arcs
     assert isinstance(flow, PiecewiseSmooth)
@@ -247,7 +249,7 @@ def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np
     state, height, rate = problem.places(begun, length, side, np.tile(values, (m, 1)))
     size = np.maximum(np.ptp(height, axis=(0, 1)), np.finfo(float).tiny)
     part, places = length / height.shape[1], height.shape[1]
-    guesses = list[_Guess]()
+    guesses = list[_TouchGuess]()
     for j in range(m):
         for k in range(surfaces):
             above, falling = side[j, k] * height[j, :, k], side[j, k] * rate[j, :, k]
@@ -258,7 +260,7 @@ def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np
                 away = above[i] + 0.5 * falling[i] * share * part[j]
                 there = (1.0 - share) * state[j, i] + share * state[j, i + 1]
                 new = touching(sequence, begun, length, j, (i + 1 + share) / places, there, k)
-                guesses.append(_Guess(abs(away) / size[k], *new))
+                guesses.append(_TouchGuess(abs(away) / size[k], *new))
         k = int(event[j])
         if k < len(flow.jumps):
             bend = abs(rate[j, -1, k] - rate[j, -2, k]) / part[j]
@@ -266,11 +268,11 @@ def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np
             touched, ahead = event.copy(), begun.copy()
             touched[j] = surfaces + k
             ahead[(j + 1) % m, :-1] = state[j, -1]
-            guesses.append(_Guess(abs(away) / size[k], ArcSequence(touched, side, j), ahead, length))
+            guesses.append(_TouchGuess(abs(away) / size[k], ArcSequence(touched, side, j), ahead, length))
     return sorted(guesses, key=lambda guess: guess.away)
 
 
-def _near(family: Family, branch: Branch, seed: int, orbit: GrazingOrbit, reach: float) -> bool:
+def _is_near(family: Family, branch: Branch, seed: int, orbit: GrazingOrbit, reach: float) -> bool:
     """Return whether an orbit that touches is within lengths of one of a branch, in the parameter's range."""
     gap = PathVector((orbit.points - branch.points[seed])[None], orbit.values - branch.value[seed])
     inside = family.low <= orbit.values[0] <= family.high

@@ -29,7 +29,7 @@ from jaxnh.systems.observables import surface_names
 _NEAR = 1e-3  # lengths: a chord between two points is nearer to its curve than this
 
 
-class _Followed(NamedTuple):
+class _GrazingCurve(NamedTuple):
     """A curve: its arcs and its points in units."""
 
     sequence: ArcSequence
@@ -49,7 +49,7 @@ def grazing_curves(
     if not may_graze(batches[0]):
         return []
     problems = [arc_problem(batches[0], lanes, names, ends, unit, more) for more in REFINEMENTS]
-    steps, reach, followed = step_control(options), (float(ends[0][0]), float(ends[1][0])), list[_Followed]()
+    steps, reach, followed = step_control(options), (float(ends[0][0]), float(ends[1][0])), list[_GrazingCurve]()
     for batch, seeds in zip(batches, waves, strict=True):
         second = float(batch.p[names[1]][0])
         with lanes.stage(f"curves: orbits that graze at {names[1]} = {second:g}", 0):
@@ -63,18 +63,18 @@ def grazing_curves(
 
 
 def _new_curve(
-    problem: ArcProblem, there: Sequence[_Followed], orbit: GrazingOrbit, second: float, steps: StepControl
-) -> list[_Followed]:
+    problem: ArcProblem, there: Sequence[_GrazingCurve], orbit: GrazingOrbit, second: float, steps: StepControl
+) -> list[_GrazingCurve]:
     """The curve through an orbit that touches, where none that is known goes through it."""
     equations = GrazingEquations(problem, orbit.sequence)
     z = equations.unknowns(orbit.begun, orbit.length, np.append(orbit.values, second))
     begun = core.correct(equations, z[None], tolerance=FINE)
     if not begun.converged[0] or any(_passes(problem, curve, orbit, second) for curve in there):
         return []
-    return [_Followed(orbit.sequence, paths.follow_both_ways(equations, begun, steps)[0])]
+    return [_GrazingCurve(orbit.sequence, paths.follow_both_ways(equations, begun, steps)[0])]
 
 
-def _passes(problem: ArcProblem, curve: _Followed, orbit: GrazingOrbit, second: float) -> bool:
+def _passes(problem: ArcProblem, curve: _GrazingCurve, orbit: GrazingOrbit, second: float) -> bool:
     """Return whether a curve goes through an orbit, whichever of its periods comes first."""
     for turned in orbit.turned():
         if turned.sequence.same_as(curve.sequence):
@@ -85,21 +85,17 @@ def _passes(problem: ArcProblem, curve: _Followed, orbit: GrazingOrbit, second: 
     return False
 
 
-def _curve(problems: Sequence[ArcProblem], one: _Followed, surface: str) -> ConditionCurve:
+def _curve(problems: Sequence[ArcProblem], one: _GrazingCurve, surface: str) -> ConditionCurve:
     """Points of the curve by arcs of twice the steps, errors from those of once and four times."""
-    points, values = one.track.points, list[np.ndarray]()
-    for problem in problems:
-        equations = GrazingEquations(problem, one.sequence)
-        solved = core.correct(equations, points.z, points.way, FINE)
-        z = np.where(solved.converged[:, None], solved.z, np.nan)
-        values.append(equations.parts(z)[2])
-        if len(values) == 2:
-            places, multipliers = z, equations.multipliers(solved.blocks)
-    first, second, third = values
+    points, equations = one.track.points, [GrazingEquations(problem, one.sequence) for problem in problems]
+    solved = [core.correct(each, points.z, points.way, FINE) for each in equations]
+    places = [np.where(each.converged[:, None], each.z, np.nan) for each in solved]
+    first, second, third = (each.parts(z)[2] for each, z in zip(equations, places, strict=True))
+    multipliers = equations[1].multipliers(solved[1].blocks)
     width = problems[0].high - problems[0].low
     rounding = np.spacing(np.abs(second)) + points.z.shape[1] * np.finfo(float).eps * width
     errors = np.abs(second - first) + np.abs(third - second) + rounding
     n = len(one.sequence.first)
     durations = np.full(len(second), n * problems[0].period)
     condition = CycleCondition(GRAZING, surface, 0.0)
-    return ConditionCurve(condition, n, second, errors, durations, multipliers, one.track.ends, places)
+    return ConditionCurve(condition, n, second, errors, durations, multipliers, one.track.ends, places[1])

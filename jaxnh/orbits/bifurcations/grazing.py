@@ -69,14 +69,21 @@ class ArcEnds(NamedTuple):
     height: np.ndarray
 
 
+class ArcPlaces(NamedTuple):
+    """States along arcs, (arcs, places, d), with heights of walls and surfaces and their rates, (arcs, places, k)."""
+
+    state: np.ndarray
+    height: np.ndarray
+    rate: np.ndarray
+
+
 class ArcProblem(NamedTuple):
     """Arcs of a flow with a clock.
 
     Attributes:
         ends: of arcs that begin at (arcs, d + 1), of lengths (arcs,), with sides (arcs, k) and events (arcs,), at
             values of parameters (arcs, q): they, and their derivatives in the beginning, the length and the values.
-        places: of arcs with the same arguments but for events, states along them, (arcs, places, d), with heights of
-            walls and surfaces and their rates, (arcs, places, k).
+        places: along arcs with the same arguments but for events.
         wrap: angles in differences of points.
         size: of the motion, (d,).
         period: of the clock.
@@ -84,7 +91,7 @@ class ArcProblem(NamedTuple):
     """
 
     ends: Callable[..., tuple[ArcEnds, ArcEnds, ArcEnds, ArcEnds]]
-    places: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
+    places: Callable[..., ArcPlaces]
     wrap: Callable[[np.ndarray], np.ndarray]
     size: Float[np.ndarray, " d"]
     period: float
@@ -211,17 +218,17 @@ class GrazingEquations(EquationsOfPaths):
         (lanes, m, e), side = begun.shape, np.tile(self._sequence.side, (len(z), 1))
         known = np.isfinite(z).all(axis=1)
         flat = (begun.reshape(-1, e), length.ravel(), side, np.repeat(values, m, axis=0))
-        _, height, _ = self._problem.places(*flat)
+        height = self._problem.places(*flat).height
         with np.errstate(invalid="ignore"):
             over = height * side[:, None] < -_BEYOND * np.ptp(height, axis=1)[:, None]
         return ~known | np.any(over.reshape(lanes, -1), axis=1) | np.any(length <= 0.0, axis=1)
 
     def multipliers(self, blocks: Float[np.ndarray, "lanes m e e"]) -> Complex[np.ndarray, "lanes d"]:
         """Multipliers of the points at the beginning of a period, whose time does not vary."""
-        whole = np.broadcast_to(np.eye(self._d + 1), (len(blocks), self._d + 1, self._d + 1))
+        whole: np.ndarray = np.tile(np.eye(self._d + 1), (len(blocks), 1, 1))
         for k in range(blocks.shape[1]):
             whole = blocks[:, k] @ whole
-        known = np.isfinite(whole).all(axis=(1, 2))
+        known = np.asarray(np.isfinite(whole).all(axis=(1, 2)))
         values = np.linalg.eigvals(np.where(known[:, None, None], whole, 0.0)[:, :-1, :-1]).astype(complex)
         values = np.take_along_axis(values, np.lexsort((np.imag(values), -np.abs(values)), axis=-1), axis=-1)
         return np.where(known[:, None], values, np.nan)

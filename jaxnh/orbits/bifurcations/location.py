@@ -257,15 +257,15 @@ def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, "some k"
     gone = inner(family, PathVector(points - begun.points, value - begun.value), chord) / size
     more = times(share.ravel() - gone, chord)
     across, near = times(1.0 / np.sqrt(size), chord), NEAR * np.sqrt(size)
-    guess = PathVector(points + more.points, value + more.value)
+    guess = points + more.points, value + more.value
     orbits = correct(family, *guess, across, FINE, near)
     # Beside steep multipliers Newton from orbits of a less fine map goes out by chords and comes back: where it ends
     # says whether it has gone over to another curve.
     left = np.flatnonzero(~orbits.converged)
     if len(left):
-        part = jax.tree.map(lambda leaf: leaf[left], (guess, across, near))
-        again = correct(family, *part[0], part[1], FINE, _OUT * part[2])
-        again = again._replace(converged=again.converged & (again.missed <= part[2]))
+        points, value, across, near = jax.tree.map(lambda leaf: leaf[left], (*guess, across, near))
+        again = correct(family, points, value, across, FINE, _OUT * near)
+        again = again._replace(converged=again.converged & (again.missed <= near))
         for leaf, new in zip(jax.tree.leaves(orbits), jax.tree.leaves(again), strict=True):
             leaf[left] = new
     return orbits
