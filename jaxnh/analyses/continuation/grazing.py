@@ -170,7 +170,9 @@ def arc_problem(
         )
         return ArcPlaces(*map(np.asarray, known))
 
-    return ArcProblem(ends_of, places_of, batch.chart.wrap, size, float(flow.period), *ends)
+    assert isinstance(flow, PiecewiseSmooth)
+    rising = np.array([way != "both" for way in flow.jumps] + [False] * flow.switches)
+    return ArcProblem(ends_of, places_of, rising, batch.chart.wrap, size, float(flow.period), *ends)
 
 
 # ---- orbits of a branch
@@ -246,20 +248,26 @@ def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np
     assert isinstance(flow, PiecewiseSmooth)
     event, side = sequence.event, sequence.side
     m, surfaces = side.shape
-    state, height, rate = problem.places(begun, length, side, np.tile(values, (m, 1)))
-    size = np.maximum(np.ptp(height, axis=(0, 1)), np.finfo(float).tiny)
-    part, places = length / height.shape[1], height.shape[1]
+    places = problem.places(begun, length, side, np.tile(values, (m, 1)))
+    size = np.maximum(np.ptp(places.height, axis=(0, 1)), np.finfo(float).tiny)
+    count = places.height.shape[1]
+    part = length / count
+    # An arc that begins with a period goes on from the end of the one before: the orbit may touch just there.
+    smooth = np.roll(event == 2 * surfaces, 1)[:, None, None]
+    state, height, rate = (
+        np.concatenate([np.where(smooth, np.roll(leaf[:, -1:], 1, axis=0), np.nan), leaf], axis=1) for leaf in places
+    )
     guesses = list[_TouchGuess]()
     for j in range(m):
         for k in range(surfaces):
-            above, falling = side[j, k] * height[j, :, k], side[j, k] * rate[j, :, k]
-            if k < len(flow.jumps) and flow.jumps[k] != "both" and side[j, k] > 0.0:
-                continue
-            for i in np.flatnonzero((falling[:-1] < 0.0) & (falling[1:] >= 0.0)).tolist():
+            sign = np.sign(height[j, :, k])
+            above, falling = sign * height[j, :, k], sign * rate[j, :, k]
+            turns = (falling[:-1] < 0.0) & (falling[1:] >= 0.0) & (sign[1:] == sign[:-1])
+            for i in np.flatnonzero(turns).tolist():
                 share = falling[i] / (falling[i] - falling[i + 1])
                 away = above[i] + 0.5 * falling[i] * share * part[j]
                 there = (1.0 - share) * state[j, i] + share * state[j, i + 1]
-                new = touching(sequence, begun, length, j, (i + 1 + share) / places, there, k)
+                new = touching(sequence, begun, length, j, (i + share) / count, there, k)
                 guesses.append(_TouchGuess(abs(away) / size[k], *new))
         k = int(event[j])
         if k < len(flow.jumps):

@@ -20,6 +20,7 @@ from jaxnh.orbits.continuation.paths import BEYOND
 
 _NEWTON_STEPS = 20
 _SMALL = 1e-7  # step of Newton, in units, from which on steps have to become shorter
+_NO_TIME = 1e-9  # of a period, as of an orbit that touches where its period begins
 _BEYOND = 1e-7  # of the range of a height along an arc, that rounding does not explain
 
 
@@ -84,6 +85,7 @@ class ArcProblem(NamedTuple):
         ends: of arcs that begin at (arcs, d + 1), of lengths (arcs,), with sides (arcs, k) and events (arcs,), at
             values of parameters (arcs, q): they, and their derivatives in the beginning, the length and the values.
         places: along arcs with the same arguments but for events.
+        rising: which walls are met only where their heights rise, (k,).
         wrap: angles in differences of points.
         size: of the motion, (d,).
         period: of the clock.
@@ -92,6 +94,7 @@ class ArcProblem(NamedTuple):
 
     ends: Callable[..., tuple[ArcEnds, ArcEnds, ArcEnds, ArcEnds]]
     places: Callable[..., ArcPlaces]
+    rising: Bool[np.ndarray, " k"]
     wrap: Callable[[np.ndarray], np.ndarray]
     size: Float[np.ndarray, " d"]
     period: float
@@ -213,15 +216,19 @@ class GrazingEquations(EquationsOfPaths):
         return {BEYOND: beyond}, beyond
 
     def passes_beyond(self, z: Float[np.ndarray, "lanes N"]) -> Bool[np.ndarray, " lanes"]:
-        """Return whether arcs go beyond walls or surfaces before their events, or take no time."""
+        """Return whether arcs go beyond walls or surfaces before their events, or take less than no time."""
         begun, length, values = self.parts(z)
         (lanes, m, e), side = begun.shape, np.tile(self._sequence.side, (len(z), 1))
         known = np.isfinite(z).all(axis=1)
         flat = (begun.reshape(-1, e), length.ravel(), side, np.repeat(values, m, axis=0))
         height = self._problem.places(*flat).height
         with np.errstate(invalid="ignore"):
-            over = height * side[:, None] < -_BEYOND * np.ptp(height, axis=1)[:, None]
-        return ~known | np.any(over.reshape(lanes, -1), axis=1) | np.any(length <= 0.0, axis=1)
+            near = _BEYOND * np.ptp(height, axis=1)[:, None]
+            risen = (np.minimum.accumulate(height, axis=1) < -near) & (height > near)
+            over = np.where(self._problem.rising, risen, height * side[:, None] < -near)
+        return (
+            ~known | np.any(over.reshape(lanes, -1), axis=1) | np.any(length < -_NO_TIME * self._problem.period, axis=1)
+        )
 
     def multipliers(self, blocks: Float[np.ndarray, "lanes m e e"]) -> Complex[np.ndarray, "lanes d"]:
         """Multipliers of the points at the beginning of a period, whose time does not vary."""
