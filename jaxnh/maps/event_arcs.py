@@ -73,7 +73,9 @@ def event_sequence(strobe: JumpingStrobe, u: Float[Array, " d"], p: Parameters, 
         k, passes = events.met, arrival.passes
 
         def written(kept: Array, new: Any, place: Array) -> Array:
-            return jnp.where(passes, kept.at[place].set(new, mode="drop"), kept)
+            # A choice and no scatter, which XLA cannot compile here for two walls ("number of dimensions of this map").
+            here = passes & (jnp.arange(len(kept), dtype=jnp.int32) == place)
+            return jnp.where(here.reshape(-1, *[1] * (kept.ndim - 1)), new, kept)
 
         return march, EventSequence(
             jnp.where(passes, k + 1, k),

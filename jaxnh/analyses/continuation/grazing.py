@@ -260,9 +260,12 @@ def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np
     guesses = list[_TouchGuess]()
     for j in range(m):
         for k in range(surfaces):
-            sign = np.sign(height[j, :, k])
-            above, falling = sign * height[j, :, k], sign * rate[j, :, k]
-            turns = (falling[:-1] < 0.0) & (falling[1:] >= 0.0) & (sign[1:] == sign[:-1])
+            above, falling = side[j, k] * height[j, :, k], side[j, k] * rate[j, :, k]
+            turns = (falling[:-1] < 0.0) & (falling[1:] >= 0.0)
+            if problem.rising[
+                k
+            ]:  # a wall that is met from below is left upwards without an event, and touched from there
+                turns |= (falling[:-1] > 0.0) & (falling[1:] <= 0.0)
             for i in np.flatnonzero(turns).tolist():
                 share = falling[i] / (falling[i] - falling[i + 1])
                 away = above[i] + 0.5 * falling[i] * share * part[j]
