@@ -398,6 +398,7 @@ def holds_for_the_oscillator(data):
     assert (zeta.min(), zeta.max()) == pytest.approx((0.05, 0.3))
 
 
+@pytest.mark.slow
 def test_grazing_with_a_second_wall(tmp_path):
     """The wall at −0.9 is met before that at 1: the first one grazed is the only curve, and is 0.9 times the other."""
     second = '{"when": lambda y, t: y[0] + 0.9, "direction": "down", "then": lambda y, t: (y[0], -y[1])}'
