@@ -315,15 +315,9 @@ def stages_in_loop(system: Flow, solver: WrittenOutRungeKutta, tangents: int) ->
     return time_split(system).size * (1 + tangents) * solver.stages > _LARGEST_STEP
 
 
+@cached_by_structure
 def time_split(system: Flow) -> TimeSplit:
     """Split a flow's rate into what depends on time alone and the rest; traced once for all flows of a structure."""
-    shapes = tuple((np.shape(leaf)) for leaf in jax.tree.leaves(system))
-    return _split(jax.tree.structure(system), shapes)
-
-
-@cached_by_structure
-def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
-    system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
 
     def rate(t: Any, system: Flow, lane: tuple[State, Mapping[str, Any]]) -> State:
         state, own = lane

@@ -65,14 +65,10 @@ class SecondOrder:
         return np.array([float(value) for value in program.results(slots)])
 
 
+@cached_by_structure
 def second_order(system: Flow) -> SecondOrder | None:
     """Return the flow as a system of second order, None where it is none. Traced once for all flows of a structure."""
-    return _second_order(jax.tree.structure(system), tuple(np.shape(leaf) for leaf in jax.tree.leaves(system)))
-
-
-@cached_by_structure
-def _second_order(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> SecondOrder | None:
-    field = _Field(jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes]))
+    field = _Field(system)
     small = field.carried_whole and field.count <= _MOST_COMPONENTS and field.size <= 2 * _LARGEST_FORCE
     halves = field.halves() if small else None
     if halves is None:

@@ -255,21 +255,47 @@ def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], 
     return sum(slopes[1:], slopes[0])
 
 
-def cached_by_structure(
-    look: Callable[[Any, tuple[tuple[int, ...], ...]], Answer],
-) -> Callable[[Any, tuple[tuple[int, ...], ...]], Answer]:
-    """Cache the result of tracing functions for each structure of a pytree and shapes of its leaves.
+def cached_by_structure(look: Callable[[Any], Answer]) -> Callable[[Any], Answer]:
+    """Cache what tracing tells of a pytree, whose numbers are zeros then, for each structure and shapes of its leaves.
 
     What is traced while a program for some devices is made is of that program's devices, unless it is traced apart.
     """
 
     @functools.lru_cache(maxsize=256)
-    @functools.wraps(look)
     def cached(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Answer:
         with jax.sharding.use_abstract_mesh(_NO_DEVICES):
-            return look(structure, shapes)
+            return look(jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes]))
 
-    return cached
+    @functools.wraps(look)
+    def answer(tree: Any) -> Answer:
+        return cached(jax.tree.structure(tree), tuple(np.shape(leaf) for leaf in jax.tree.leaves(tree)))
+
+    return answer
+
+
+def listed_once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of pytrees of numbers whose equations are listed once for each structure of its arguments.
+
+    In a program its calls are these equations, equal ones once; elsewhere it is called as it is written.
+    """
+
+    @cached_by_structure
+    def listed(arguments: Sequence[Any]) -> Program:
+        return Program(function, *arguments)
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        leaves, structure = jax.tree.flatten(arguments)
+        if not any(isinstance(leaf, Tracer) for leaf in leaves) or not all(map(_is_double, leaves)):
+            return function(*arguments)
+        arguments = jax.tree.unflatten(structure, [jnp.asarray(leaf, float) for leaf in leaves])
+        return listed(arguments)(*arguments)
+
+    return call
+
+
+def _is_double(leaf: Any) -> bool:
+    return not jnp.ndim(leaf) and jnp.result_type(leaf) == jnp.float64
 
 
 def _alone(equation: Any, program: Any) -> Callable[..., Sequence[Any]]:
