@@ -38,8 +38,8 @@ def check_box(box: Box, setting: Setting, key: str) -> None:
 def _decides(flow: Flow, name: str) -> bool:
     """Return whether a start state depends on a coordinate."""
     states = [flow.start({**dict.fromkeys(flow.coordinates, 0.0), name: value}) for value in (0.0, 1e-3)]
-    one, other = (np.stack(np.broadcast_arrays(*jax.tree.leaves(state))) for state in states)
-    return not np.array_equal(one, other)
+    first, second = (np.stack(np.broadcast_arrays(*jax.tree.leaves(state))) for state in states)
+    return not np.array_equal(first, second)
 
 
 def random_start_batch(

@@ -113,9 +113,9 @@ class SolverBench:
         self.system, self._lanes = batch.system, lanes
         self.split = isinstance(scheme_of(batch.system).reference, IsokineticSplitting)
         self.count = lanes.tile * len(lanes.devices)
-        begun = batch.take(np.linspace(0, batch.count - 1, self.count).round().astype(int)).lanes
-        state = lanes.iterate(batch.strobe(), _SETTLED, begun)
-        self._at = state, begun[1]
+        start = batch.take(np.linspace(0, batch.count - 1, self.count).round().astype(int)).lanes
+        state = lanes.iterate(batch.strobe(), _SETTLED, start)
+        self._at = state, start[1]
 
     def seconds(self, setting: SolverSetting, periods: int = 1) -> float:
         """Wall time of one call a lane-period; a first call compiles."""

@@ -168,12 +168,12 @@ class GeneralStrobe(ReturnMap):
 
         first, grid, system = jax.tree.leaves(state)[0], jnp.asarray(self.grid), self.system
         zero = as_batched(jnp.zeros_like(first), first) if volume else None
-        begun = Moving(state, moved, zero)
+        start = Moving(state, moved, zero)
         project = along_tangents(lambda system, t, z, _, p: system.project(t, z, p))
         if system.reduction.leaves_constraints:
-            ended = self._march(field, project, begun, len(tangents) + 1)
+            ended = self._march(field, project, start, len(tangents) + 1)
         else:
-            placed, reduce = project(grid[0], begun), system.reduction.reduce
+            placed, reduce = project(grid[0], start), system.reduction.reduce
             reduced = Moving(
                 reduce(placed.state), reduce(placed.tangents) if stacked else tuple(map(reduce, placed.tangents)), zero
             )

@@ -90,8 +90,8 @@ class JumpingStrobe(ReturnMap):
         own = own_parameters(self.system, p)
         by_p: list[Any] = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         zero = jnp.zeros_like(state.y[0])
-        begun = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
-        ended = self._marched(begun, p, by_p)
+        start = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
+        ended = self._marched(start, p, by_p)
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
         return Pushforward(ended.state, pushed, jnp.exp(ended.log_volume) if volume else jnp.ones_like(zero))
 
@@ -107,10 +107,10 @@ class JumpingStrobe(ReturnMap):
         """
         return _Lane(self, EventPassage(self.system, own_parameters(self.system, p), by_p, volume=volume))
 
-    def _marched(self, begun: Moving, p: Parameters, by_p: list[Any]) -> Moving:
+    def _marched(self, start: Moving, p: Parameters, by_p: list[Any]) -> Moving:
         """All steps."""
-        lane = self.lane(p, by_p, volume=begun.log_volume is not None)
-        first = as_batched(lane.begin(begun, jnp.asarray(self.grid)), begun.state.y[0])
+        lane = self.lane(p, by_p, volume=start.log_volume is not None)
+        first = as_batched(lane.begin(start, jnp.asarray(self.grid)), start.state.y[0])
         ended = lax.while_loop(lane.unfinished, lane.trial, first)
         stuck = ended.events > lane.most_events
         watch, reason = ended.moving.state.watch, ended.moving.state.reason

@@ -142,10 +142,10 @@ class _Field:
             return self.rates(t, system, [jnp.zeros(())] * self.count, own)
 
         still = constants(self.rates, 0.0, self.system, self._zeros, self.own)
-        begun = constants(at_zero, 0.0, self.system, self.own)
+        start = constants(at_zero, 0.0, self.system, self.own)
         pairs: dict[int, int] = {}
         for i in range(self.count):
-            if begun[i] == 0.0:
+            if start[i] == 0.0:
                 column = [self.matrix[j][i] for j in range(self.count)]
                 if column.count(0.0) == self.count - 1 and column.count(1.0) == 1 and column[i] == 0.0:
                     pairs[i] = column.index(1.0)

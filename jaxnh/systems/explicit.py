@@ -199,10 +199,10 @@ class ExplicitReduction(Reduction):
         return Motion(z.q, v, y.watch)
 
 
-def _dot(one: Sequence[Number], other: Sequence[Number]) -> Number:
+def _dot(first: Sequence[Number], second: Sequence[Number]) -> Number:
     """Σ one · other, nothing where one of both is known to vanish."""
     total: Number = 0.0
-    for x, y in zip(one, other, strict=True):
+    for x, y in zip(first, second, strict=True):
         product = times(x, y)
         total = product if is_zero(total) else total if is_zero(product) else total + product
     return total

@@ -236,8 +236,8 @@ def constants(function: Callable[..., Any], *arguments: Any) -> Any:
 
 def slope(function: Callable[..., Any], at: Sequence[Any], i: int) -> Any:
     """∂function/∂at[i] at components `at`, the others being constants of the program."""
-    one = jnp.ones_like(at[i])
-    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (one,))[1]
+    unit = jnp.ones_like(at[i])
+    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (unit,))[1]
 
 
 def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], Any]) -> Any:
@@ -301,11 +301,11 @@ def _is_double(leaf: Any) -> bool:
 def _alone(equation: Any, program: Any) -> Callable[..., Sequence[Any]]:
     """A function of what an equation of a program reads, literals among it."""
     reads = [core.Var(atom.aval) for atom in equation.invars]
-    one = program.replace(
+    single = program.replace(
         constvars=(),
         invars=reads,
         outvars=equation.outvars,
         eqns=[equation.replace(invars=reads)],
         effects=equation.effects,
     )
-    return core.jaxpr_as_fun(core.ClosedJaxpr(one, ()))
+    return core.jaxpr_as_fun(core.ClosedJaxpr(single, ()))

@@ -66,4 +66,4 @@ def sensitivity_words(data: xr.Dataset, name: str, dim: str) -> str:
         return ""
     first, last = (sensitivity_cells(known, name, row) for row in (0, -1))
     ranges = zip(heads, first, last, strict=True)
-    return ", ".join(f"{head} = {one} to {other}" for head, one, other in ranges if one != "–")
+    return ", ".join(f"{head} = {low} to {high}" for head, low, high in ranges if low != "–")

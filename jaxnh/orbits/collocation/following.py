@@ -40,7 +40,7 @@ class CycleBranch(NamedTuple):
 
 def follow_cycles(
     problem: Problem,
-    begun: CyclePoint,
+    start: CyclePoint,
     lift: Float[np.ndarray, " d"],
     ends: Ends,
     steps: StepControl,
@@ -51,16 +51,16 @@ def follow_cycles(
 
     Args:
         problem: the field, with one parameter, or with conditions more.
-        begun: the first point.
+        start: the first point.
         lift: of the end of an orbit over its beginning.
         ends: of the ranges of the last parameters, the lower ones first.
         steps: how long steps are, and how many there may be.
         begin: why the branch begins there.
         conditions: on cycles, beside what they are.
     """
-    points = [begun]
-    equations = CollocationEquations(problem, begun.solution, lift, ends, points, conditions)
-    path = _path(equations, core.correct(equations, *equations.of_point(begun), np.inf), steps)
+    points = [start]
+    equations = CollocationEquations(problem, start.solution, lift, ends, points, conditions)
+    path = _path(equations, core.correct(equations, *equations.of_point(start), np.inf), steps)
     while True:
         end, n = _steps(path, equations, points), _intervals(points[-1])
         if end is not None and (end != NO_CONVERGENCE or 2 * n > _MOST):
