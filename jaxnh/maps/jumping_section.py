@@ -71,9 +71,9 @@ class _WithSection(PiecewiseSmooth):
         """The state after a jump of the flow, or where one of its constraints has begun."""
         return self.as_it_is.jumped(number, t, y, p, sides[:-1])
 
-    def begin_constraints(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+    def constrain(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """The state after the constraints of the flow have begun."""
-        return self.as_it_is.begin_constraints(t, y, p, sides[:-1])
+        return self.as_it_is.constrain(t, y, p, sides[:-1])
 
     def on_constraints(
         self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]

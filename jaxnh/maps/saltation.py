@@ -154,7 +154,7 @@ class EventPassage:
             begin: whether they may have begun there.
         """
         system = self.system
-        change = system.begin_constraints if begin else system.on_constraints
+        change = system.constrain if begin else system.on_constraints
         state, tangents = linearise(
             lambda z, own: change(t, z, own, sides), moving.state, self.own, moving.tangents, self.by_p
         )

@@ -127,7 +127,7 @@ class PiecewiseSmooth(FirstOrder):
         after = self.definition(p)["jumps"][number]["then"](tuple(y.y), t)
         return y._replace(y=tuple(jnp.asarray(x, jnp.float64) for x in after))
 
-    def begin_constraints(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+    def constrain(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """The state after the constraints that hold on these sides have begun."""
         return y
 
