@@ -41,6 +41,7 @@ from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Reading, sid
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
+from jaxnh.systems.tracing import traced_once
 
 _MOST_EVENTS = 64
 """Jumps and switches in one step; a lane that has more is taken to have infinitely many in finite time."""
@@ -263,14 +264,16 @@ class _Lane:
             moved, by_p = stacked_tangents(moving.tangents, lane.own, lane.by_p)
             moving = moving._replace(tangents=moved)
 
+        @traced_once
+        def derivatives(system: PiecewiseSmooth, t: Array, y: Moving, sides: Heights, own: Any, by_p: Any) -> Moving:
+            def rate(z: PiecewisePoint, own: Any) -> PiecewisePoint:
+                return system.branch(t, z, own, separate_sides(system, sides))
+
+            divergence = system.divergence_of(lambda z: rate(z, own), y.state) if lane.volume else None
+            return Moving(*derivative(rate, y.state, own, y.tangents, by_p), divergence)
+
         def rates(stage: Any, y: Moving) -> Moving:
-            at = t + c[stage] * h
-
-            def rate(z: PiecewisePoint, own: Parameters) -> PiecewisePoint:
-                return system.branch(at, z, own, separate_sides(system, sides))
-
-            divergence = system.divergence_of(lambda z: rate(z, lane.own), y.state) if lane.volume else None
-            return Moving(*derivative(rate, y.state, lane.own, y.tangents, by_p), divergence)
+            return derivatives(system, t + c[stage] * h, y, sides, lane.own, by_p)
 
         in_loop = stages_in_loop(system, solver, count + lane.volume)
         after = (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
