@@ -48,7 +48,7 @@ def periods(options: BasinsOptions, lanes: int) -> float:
 def check(options: BasinsOptions, setting: Setting) -> None:
     """Check that random starts have a box and exclude other start states, and that `boundary` has a plane."""
     if options.n_starts:
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
     if options.boundary:
         check_plane(setting, "boundary")
 

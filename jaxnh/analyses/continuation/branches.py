@@ -73,7 +73,7 @@ def check(options: BranchesOptions, setting: Setting) -> None:
     for name in {first.name, *taken} & {*OWN_NAMES, f"{first.name}_error"}:
         raise OptionError(f"{name} is what branches calls a number of its own; rename it")
     if options.box:
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
     if options.equilibria:
         check_equilibria(setting)
     if options.method == "collocation" and (why := no_collocation(setting.flow)):

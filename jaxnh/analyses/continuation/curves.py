@@ -80,7 +80,7 @@ def check(options: CurvesOptions, setting: Setting) -> None:
     own |= {f"codimension_two_{name}{rest}" for name in names for rest in ("", "_error")}
     if options.equilibria:
         check_equilibria(setting)
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
         own.add("coefficients")
     if options.conditional:
         check_conditions(options, setting)

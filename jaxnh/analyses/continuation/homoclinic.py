@@ -84,7 +84,7 @@ def check(options: HomoclinicOptions, setting: Setting) -> None:
     check_plane("homoclinic orbits", setting)
     if not options.box:
         raise OptionError("needs a box to draw the starts of Newton for saddles from", "box")
-    check_box(options.box, setting, "box")
+    check_box(options.box, setting)
     check_names("homoclinic", {*_OWN_NAMES, *(f"{axis.name}_error" for axis in setting.axes)}, setting)
 
 

@@ -45,7 +45,7 @@ def check(options: EdgesOptions, setting: Setting) -> None:
     """Check the box, and names."""
     if not options.box:
         raise OptionError("needs a box to draw its starts from", "box")
-    check_box(options.box, setting, "box")
+    check_box(options.box, setting)
     check_names("edges", OWN_NAMES, setting)
 
 

@@ -150,7 +150,6 @@ def averages_in_turn(
     count: int,
     firsts: Sequence[float],
     quadrature: Quadrature | ParameterFamily[Quadrature] | None = None,
-    tile: int | None = None,
 ) -> list[tuple[TangentState, Float[np.ndarray, "lanes sums"]]]:
     """Advance lanes by `count` periods, a time for each of `firsts`; return after each what `average` does.
 
@@ -163,7 +162,7 @@ def averages_in_turn(
     ]
     links[-1] = links[-1]._replace(keep=keep_all)
     averages = []
-    for after in lanes.chain(links, (growth, p), tile=tile):
+    for after in lanes.chain(links, (growth, p)):
         grown = np.stack([*after.logs, after.volume, after.divergence], axis=-1) / count
         grown[~is_finite(after.state)] = np.nan  # lost lanes have tangents of length zero, whose logarithm is none
         averages.append((after, grown))

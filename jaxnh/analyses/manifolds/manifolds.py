@@ -58,7 +58,7 @@ def check(options: ManifoldsOptions, setting: Setting) -> None:
     if not options.box:
         raise OptionError("needs a box to draw the starts of Newton from", "box")
     check_names("manifolds", OWN_NAMES, setting)
-    check_box(options.box, setting, "box")
+    check_box(options.box, setting)
     movable = [axis.name for axis in setting.axes if axis.kind == "lane"]
     if options.tangency is not None and options.tangency not in movable:
         known = f"these are {', '.join(movable)}" if movable else "there is none"

@@ -36,7 +36,7 @@ def check(options: TransientsOptions, setting: Setting) -> None:
     """Check the box of starts, and that the region is one of coordinates."""
     if not options.box:
         raise OptionError("needs a box to draw its starts from", "box")
-    check_box(options.box, setting, "box")
+    check_box(options.box, setting)
     for name in options.region:
         if name not in setting.flow.coordinates:
             known = ", ".join(setting.flow.coordinates)

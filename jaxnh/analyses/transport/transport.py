@@ -70,7 +70,7 @@ def check(options: TransportOptions, setting: Setting) -> None:
             raise OptionError(f"there is no coordinate {name}; known are {', '.join(names)}", "path")
     check_outputs([name for name in options.growth or () if name not in names], setting)
     if options.n_starts:
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
 
 
 def run(options: TransportOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:

@@ -146,34 +146,32 @@ def connection_near(
     guess: BoundarySolution,
     departure: Float[np.ndarray, " d"],
     arrival: Float[np.ndarray, " d"],
-    free: int = 0,
 ) -> Connection | None:
-    """The connecting orbit near a path, at the value of the parameter that is not free; None where there is none.
+    """The connecting orbit near a path, at the value of the second parameter; None where there is none.
 
     Args:
         problem: the field, with two parameters.
         guess: one lane.
         departure, arrival: states near the saddles.
-        free: number of the parameter that is solved for.
     """
     values = guess.values[0]
-    problem_of_one = _of_one_parameter(problem, values, free)
+    problem_of_one = _of_first_parameter(problem, values)
     try:
         saddles = saddle_at(problem, departure, values), saddle_at(problem, arrival, values)
         if len(saddles[0].unstable) != len(saddles[1].unstable):
             return None
-        first = guess._replace(values=values[None, free : free + 1])
+        first = guess._replace(values=values[None, :1])
         solved = on_adapted_mesh(
             problem_of_one, first, projections(problem_of_one, *saddles), hold_duration, _INTERVALS, cyclic=False
         )
         if not solved.converged[0]:
             return None
         both = values.copy()
-        both[free] = solved.solution.values[0, 0]
+        both[0] = solved.solution.values[0, 0]
         return adapted(
             problem,
             with_own_saddles(problem, Connection(solved.solution._replace(values=both[None]), *saddles)),
-            held=1 - free,
+            held=1,
         )
     except (InputError, np.linalg.LinAlgError):
         return None
@@ -264,13 +262,13 @@ def reversed_stretch(stretch: Stretch) -> Stretch:
     return Stretch(stretch.points[::-1], between)
 
 
-def _of_one_parameter(problem: Problem, values: Float[np.ndarray, " 2"], free: int) -> Problem:
-    """The problem with one of both parameters, the other one as it is."""
+def _of_first_parameter(problem: Problem, values: Float[np.ndarray, " 2"]) -> Problem:
+    """The problem with the first of both parameters, the second held."""
 
     def field(y: np.ndarray, t: np.ndarray, value: np.ndarray):
         both = np.tile(values, (len(y), 1))
-        both[:, free] = value[:, 0]
+        both[:, 0] = value[:, 0]
         at = problem.field(y, t, both)
-        return at._replace(by_parameters=np.asarray(at.by_parameters)[..., free : free + 1])
+        return at._replace(by_parameters=np.asarray(at.by_parameters)[..., :1])
 
-    return problem._replace(field=field, widths=problem.widths[free : free + 1])
+    return problem._replace(field=field, widths=problem.widths[:1])

@@ -272,19 +272,6 @@ Functional = Callable[[Variation], Float[np.ndarray, " lanes"]]
 """A linear function of variations, as the inner product with one."""
 
 
-def step_without(
-    path: PiecewisePath,
-    line: NewtonSystem,
-    directions: Sequence[Variation],
-    gone: Float[np.ndarray, "lanes k"] | float = 0.0,
-) -> Variation:
-    """The step of Newton that is orthogonal to as many directions as there are solutions without right-hand sides.
-
-    Or takes back what solutions have `gone` along them.
-    """
-    return step_of(line, [partial(inner, path, way) for way in directions], gone)
-
-
 def step_of(
     line: NewtonSystem, rows: Sequence[Functional], gone: Float[np.ndarray, "lanes k"] | float = 0.0
 ) -> Variation:

@@ -44,7 +44,6 @@ def follow_cycles(
     lift: Float[np.ndarray, " d"],
     ends: Ends,
     steps: StepControl,
-    begin: int = START,
     conditions: CycleConditions | None = None,
 ) -> CycleBranch:
     """The branch from a cycle in the direction of its point, to where it ends.
@@ -55,7 +54,6 @@ def follow_cycles(
         lift: of the end of an orbit over its beginning.
         ends: of the ranges of the last parameters, the lower ones first.
         steps: how long steps are, and how many there may be.
-        begin: why the branch begins there.
         conditions: on cycles, beside what they are.
     """
     points = [start]
@@ -64,12 +62,12 @@ def follow_cycles(
     while True:
         end, n = _steps(path, equations, points), _intervals(points[-1])
         if end is not None and (end != NO_CONVERGENCE or 2 * n > _MOST):
-            return CycleBranch(points, (begin, end))
+            return CycleBranch(points, (START, end))
         finer = 2 * n <= _MOST and (end is not None or not points[-1].fine)
         new = equations.adapted(points[-1].solution, 2 * n if finer else n)
         now = core.correct(new, *new.of_point(points[-1]))
         if not now.converged[0]:
-            return CycleBranch(points, (begin, NO_CONVERGENCE))
+            return CycleBranch(points, (START, NO_CONVERGENCE))
         points[-1:] = new.points(now)
         if end is None:
             path.move(new, now, partial(equations.carried, others=new))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -15,10 +16,11 @@ from jaxnh.orbits.collocation.equations import (
     NewtonSystem,
     Problem,
     Variation,
+    inner,
     linearise,
     moved,
     phase_condition,
-    step_without,
+    step_of,
 )
 from jaxnh.orbits.collocation.paths import adapted_mesh, on_mesh
 
@@ -90,7 +92,8 @@ def correct(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hol
         part = take(solution, open_)
         try:
             line = linearise(problem, part, boundary(part, open_))
-            step = step_without(part.path, line, [phase_condition(problem, line), *hold(line, open_)])
+            directions = [phase_condition(problem, line), *hold(line, open_)]
+            step = step_of(line, [partial(inner, part.path, direction) for direction in directions])
         except np.linalg.LinAlgError:
             if lanes == 1:
                 break
