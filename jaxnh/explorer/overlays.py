@@ -44,7 +44,7 @@ def layers_of(groups: Mapping[str, xr.Dataset], across: str, up: str) -> list[La
 
 
 def _turned(layer: Layer) -> Layer:
-    """The same with the axes exchanged."""
+    """The overlay with its axes exchanged."""
     return layer._replace(items=tuple(item._replace(x=item.y, y=item.x) for item in layer.items))
 
 

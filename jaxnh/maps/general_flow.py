@@ -246,7 +246,7 @@ def linearise(
 def linearise_stacked(
     function: Callable[[Any, Any], Any], y: Any, own: Mapping[str, Any], moved: Any, by_p: Any, *, in_turn: bool = False
 ) -> tuple[Any, Any]:
-    """The same along tangents whose numbers are arrays (tangents,), as those of own are where there are some.
+    """`linearise` along tangents stacked in arrays (tangents,), with their derivatives of `own` where there are some.
 
     Args:
         in_turn: whether tangents take turns in a loop, and do not lie side by side.
@@ -271,7 +271,7 @@ def linearise_all(
     *,
     stacked: bool,
 ) -> tuple[Any, tuple[Any, ...]]:
-    """The same as `linearise`, by one derivative of all tangents where they are to be stacked."""
+    """`linearise`, by one derivative of all tangents where these are to be stacked."""
     if not stacked or len(moved) < 2:
         return linearise(function, y, own, moved, by_p)
     value, slopes = linearise_stacked(function, y, own, *stacked_tangents(moved, own, by_p))

@@ -47,7 +47,7 @@ _MOST_EVENTS = 64
 """Jumps and switches in one step; a lane that has more is taken to have infinitely many in finite time."""
 
 _MOST_IMPACTS = 4096
-"""The same where motions may rest on walls, which they come to by many impacts."""
+"""Events in one step where motions may rest on walls, which they come to by many impacts."""
 
 _BEGINS_ON_WALL = 1e-12  # of a step's way, where a period begins: a state there leaves, and does not arrive
 

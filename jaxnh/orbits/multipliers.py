@@ -80,7 +80,7 @@ def _last_turn(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarray, np
 
 
 def _last_turn_of_lane(blocks: Float[np.ndarray, "n d d"]) -> tuple[np.ndarray, np.ndarray]:
-    """The same of one lane."""
+    """`_last_turn` of one lane, (d, d) each, of matrices that need not be stacked."""
     identity = np.eye(blocks.shape[-1])
     basis = start = product = identity
     for _ in range(_TURNS):

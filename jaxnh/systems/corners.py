@@ -47,9 +47,9 @@ class PiecewiseField:
     """A right-hand side as its equations, and the surfaces that its branches meet on.
 
     Attributes:
-        surfaces: they.
-        attracts: along which of them motions may slide.
-        pushes: across which of them the field jumps by what moves the surface's own coordinates.
+        surfaces: one for each corner or jump of the field.
+        attracts: along which surfaces motions may slide.
+        pushes: across which surfaces the field jumps by what moves the surface's own coordinates.
     """
 
     def __init__(self, define: Callable[..., Definition], parameters: Mapping[str, float]) -> None:

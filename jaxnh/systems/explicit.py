@@ -74,7 +74,7 @@ def explicit_velocities(equations: Equations, k: int, n: int) -> Explicit | None
 
 
 def dependent_velocities(equations: Equations, k: int, n: int, given: tuple[int, ...]) -> Explicit:
-    """The same with the velocities named that the constraints, linear in them, give; to be called likewise."""
+    """Velocities that a definition names, in which the constraints are linear; called as `explicit_velocities` is."""
     f = constraint_functions(equations, k)
     at = tuple(jnp.zeros(()) for _ in range(k + n + 1))
     columns = constants(lambda *at: [slope(f, at, k + j) for j in range(n)], *at)

@@ -73,7 +73,7 @@ class Kinematics(NamedTuple):
         return forces
 
     def _forces_by_brackets(self, momenta: Sequence[Number], at: Vector, k: int) -> list[Number]:
-        """The same by brackets at the state: P [q̇, X_j] with the covector P of the momenta, P A = p."""
+        """Hamel's terms by brackets at the state: P [q̇, X_j] with the covector P of the momenta, P A = p."""
         covector = _covector(self.columns(at, k), list(momenta))
         u, t = at[k:-1], at[-1]
         rates = self.rates(at[:k], u, t)

@@ -45,7 +45,7 @@ class Program:
     """The equations of a function, in order, equal ones once.
 
     Attributes:
-        steps: they.
+        steps: the equations.
         inputs: a slot for each leaf of its arguments.
         outputs: a slot, or a number, for each leaf of what it returns.
         structure: of what it returns.

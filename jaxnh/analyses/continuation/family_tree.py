@@ -257,7 +257,7 @@ def _locate(
 
 
 def _sign_changes(stretch: Brackets, which: Bool[np.ndarray, " some"], count: int) -> list[SignChange]:
-    """Some of the brackets on branches that are numbered from `count` on."""
+    """A subset of the brackets, on branches that are numbered from `count` on."""
     rows = zip(stretch.branch[which] + count, stretch.place[which], stretch.kind[which], strict=True)
     return [SignChange(int(branch), int(place), int(kind)) for branch, place, kind in rows]
 

@@ -170,7 +170,7 @@ def averages_in_turn(
 
 
 def _sums(growth: TangentState) -> tuple[TangentState, TangentState]:
-    """All of a lane for the next periods, and what averages are made of."""
+    """The whole state for the next periods, and its part that averages are made of."""
     return growth, growth._replace(tangents=(), loss=())
 
 

@@ -70,7 +70,7 @@ class BifurcationPoints(NamedTuple):
         value: of the parameter, by the polynomial: where two branches cross no orbit by itself decides it, (some,).
         error: of the value of the parameter, by rounding and interpolation, (some,).
         bend: second derivative of the parameter along the curve, in widths of the range, (some,).
-        orbits: there.
+        orbits: at the zeros.
         exists: whether there is one, (some,).
         nodes: orbits at `NODES` over the chord, (some, nodes, n, d) and (some, nodes).
     """

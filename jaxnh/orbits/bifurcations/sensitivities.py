@@ -50,12 +50,12 @@ class OrbitMotion(NamedTuple):
 
     Attributes:
         column: ∂P/∂q at each point, (n, d).
-        column_error: of it.
+        column_error: error of `column`.
         points: du/dq, (n, d); not a number where the orbit has a multiplier one, zero where it is held.
         blocks: dM/dq along the motion, (n, d, d).
-        blocks_error: of it.
+        blocks_error: error of `blocks`.
         time: derivative of the time of return of each point, (n,); empty where it is not asked for.
-        time_error: of it.
+        time_error: error of `time`.
     """
 
     column: Float[np.ndarray, "n d"]

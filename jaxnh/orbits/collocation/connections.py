@@ -112,7 +112,7 @@ class ConnectionEquations(EquationsOfPaths):
         return (z,)
 
     def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
-        """None of their own."""
+        """Connections have no endings of their own."""
         return {}, np.zeros(len(taken.z), bool)
 
     def _linear(self, orbit: BoundarySolution) -> NewtonSystem:

@@ -309,7 +309,7 @@ def direction_of(path: PiecewisePath, line: NewtonSystem, rows: Sequence[Functio
 
 
 def orthonormal(path: PiecewisePath, line: NewtonSystem) -> NewtonSystem:
-    """The same with solutions without right-hand sides that are orthonormal, of one lane.
+    """Newton's system of one lane with orthonormal null solutions.
 
     Those of `linearise` are of length one where a path begins. Near a saddle they grow from there by as many powers of
     ten as the path is near, and are nearly the shift along the orbit, all of them.

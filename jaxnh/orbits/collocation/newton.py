@@ -43,7 +43,7 @@ class NewtonSolution(NamedTuple):
     """Solutions that Newton has come to.
 
     Attributes:
-        solution: they.
+        solution: path, duration and parameters of each lane.
         converged: whether Newton has come to rest, (lanes,).
         rounding: largest component of the last step, which is what rounding leaves, in sizes, (lanes,).
         extra_rounding: the same of the logarithm of the duration and of the parameters, in widths, (lanes, 1 + q).
@@ -115,7 +115,7 @@ def correct(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hol
 
 
 def _lane_by_lane(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hold: Hold) -> NewtonSolution:
-    """The same where the equations of one lane are singular."""
+    """Solve lane by lane, where the equations of one lane are singular."""
 
     def one(lane: int) -> NewtonSolution:
         return correct(problem, take(guess, [lane]), *_of_lanes(boundary, hold, np.array([lane])))

@@ -120,7 +120,7 @@ class Solution(NamedTuple):
         return Solution(*(leaf[lanes] for leaf in self))
 
     def backward(self) -> Solution:
-        """The same with the opposite direction of the curve."""
+        """The solution with the opposite direction of the curve."""
         return self._replace(way=-self.way, determinant=-self.determinant)
 
 

@@ -179,7 +179,7 @@ class EigenvectorEquations:
         return np.concatenate([self._plane.wrap(gap[:, :d] * size) / size, gap[:, d:]], axis=1)
 
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterator[Float[np.ndarray, "lanes N"]]:
-        """The same, and with the opposite eigenvector."""
+        """Both signs of the eigenvector."""
         yield z
         opposite, end = z.copy(), 3 * self._d if self._hopf else 2 * self._d
         opposite[:, self._d : end] *= -1.0

@@ -318,7 +318,7 @@ class Track(NamedTuple):
     ends: tuple[int, int]
 
     def backward(self) -> Track:
-        """The same from its other end."""
+        """The curve from its other end."""
         first, last = self.ends
         return Track(self.points.take(slice(None, None, -1)).backward(), (last, first))
 
