@@ -267,15 +267,15 @@ def linearise_all(
     y: Any,
     own: Mapping[str, Any],
     moved: Sequence[Any],
-    by_p: Sequence[Mapping[str, Any] | None],
+    by_p: Sequence[Any],
     *,
     stacked: bool,
 ) -> tuple[Any, tuple[Any, ...]]:
-    """`linearise`, by one derivative of all tangents where these are to be stacked."""
-    if not stacked or len(moved) < 2:
+    """`linearise`, where tangents may be a single one that has all of them stacked."""
+    if not stacked:
         return linearise(function, y, own, moved, by_p)
-    value, slopes = linearise_stacked(function, y, own, *stacked_tangents(moved, own, by_p))
-    return value, unstacked_tangents(slopes, len(moved))
+    value, slopes = linearise_stacked(function, y, own, moved[0], by_p[0])
+    return value, (slopes,)
 
 
 def stacked_tangents(

@@ -97,10 +97,13 @@ class EventPassage:
         own: parameters of the lane.
         by_p: of each tangent its derivative in them, or None.
         volume: whether the volume is asked for.
+        stacked: whether tangents are a single one that has all of them stacked.
     """
 
-    def __init__(self, system: PiecewiseSmooth, own: Parameters, by_p: list[Any], *, volume: bool) -> None:
-        self.system, self.own, self.by_p, self.volume = system, own, by_p, volume
+    def __init__(
+        self, system: PiecewiseSmooth, own: Parameters, by_p: list[Any], *, volume: bool, stacked: bool
+    ) -> None:
+        self.system, self.own, self.by_p, self.volume, self.stacked = system, own, by_p, volume, stacked
         self._jumps, self._numbers = len(system.jumps), numbers_of(system)
         self._rising = traced_once(_heights_with_rates) if system.many_surfaces else _heights_with_rates
         self._changes = [k for k, begins in enumerate(system.begins) if begins or k < self._jumps]
@@ -210,13 +213,13 @@ class EventPassage:
         """The delay with which each tangent arrives; a release changes no field, and needs none."""
         if not along:
             return []
-        system, zero = self.system, jnp.zeros_like(end.t)
+        system, met_rate = self.system, pick(arrival.sought, end.rate)
         slopes = linearise_all(
-            lambda at, own: heights_of(system, at[1], at[0], own),
-            (end.moving.state, end.t), self.own, [(dz, zero) for dz in along], by_p, stacked=system.many_surfaces,
+            lambda at, own: pick(arrival.sought, heights_of(system, at[1], at[0], own)),
+            (end.moving.state, end.t), self.own, [(dz, jnp.zeros_like(dz.y[0])) for dz in along], by_p,
+            stacked=self.stacked,
         )[1]  # fmt: skip
-        met_rate = pick(arrival.sought, end.rate)
-        return [jnp.where(arrival.passes, -pick(arrival.sought, slope) / met_rate, 0.0) for slope in slopes]
+        return [jnp.where(arrival.passes, -slope / met_rate, 0.0) for slope in slopes]
 
     def _jump(
         self,
