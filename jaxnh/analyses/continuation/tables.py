@@ -75,11 +75,11 @@ def datasets(
     """
     batch = grown[0].batch
     axis, trees = batch.first_axis, [part.tree for part in grown]
-    all_ = [(k_tree, k) for k_tree, tree in enumerate(trees) for k in range(len(tree.branches))]
+    all_ = [(family, k) for family, tree in enumerate(trees) for k in range(len(tree.branches))]
     order = sorted(all_, key=lambda pair: (_period(grown[pair[0]], trees[pair[0]].branches[pair[1]].period), pair))
     rank = {pair: place for place, pair in enumerate(order)}
     bifurcations = ordered_bifurcations(grown)
-    branches = _branches(lanes, grown, [(k_tree, trees[k_tree].branches[k]) for k_tree, k in order])
+    branches = _branches(lanes, grown, [(family, trees[family].branches[k]) for family, k in order])
     attrs = {
         "limit": limit,
         "along": axis.name,
@@ -91,16 +91,16 @@ def datasets(
         branches["duration"] = _durations(timed, [rank[0, k] for k in range(len(timed))], branches, batch)
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
     signs = np.full(branches[axis.name][1].shape, -1)
-    for k_tree, tree in enumerate(trees):
+    for family, tree in enumerate(trees):
         for change in tree.lost:
-            signs[rank[k_tree, change.branch], change.place] = change.kind
+            signs[rank[family, change.branch], change.place] = change.kind
     words = "kind of bifurcation that could not be located between the point and the next one"
     branches["not_located_kind"] = flag(("branch", "point"), signs, words, ("none", *KINDS), -1)
-    points = _bifurcations(lanes, grown, bifurcations, [rank[k_tree, point.branch] for k_tree, point in bifurcations])
+    points = _bifurcations(lanes, grown, bifurcations, [rank[family, point.branch] for family, point in bifurcations])
     own = {"along": axis.name}
     if derived:
         critical = [
-            CriticalOrbit(-1 if k_tree else p.kind, p.value, p.points, p.multipliers) for k_tree, p in bifurcations
+            CriticalOrbit(-1 if family else p.kind, p.value, p.points, p.multipliers) for family, p in bifurcations
         ]
         rates = bifurcation_sensitivities(batch, lanes, critical)
         words = f"{axis.long_name} at the bifurcation"
