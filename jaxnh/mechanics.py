@@ -24,14 +24,14 @@ Support = Callable[[Vector], Number]
 _CYCLIC = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 
 
-def cross(one: Sequence[Number], other: Sequence[Number]) -> Vector:
+def cross(first: Sequence[Number], second: Sequence[Number]) -> Vector:
     """The vector product of two vectors of three components."""
-    return tuple(one[j] * other[k] - one[k] * other[j] for _, j, k in _CYCLIC)
+    return tuple(first[j] * second[k] - first[k] * second[j] for _, j, k in _CYCLIC)
 
 
-def dot(one: Sequence[Number], other: Sequence[Number]) -> Number:
+def dot(first: Sequence[Number], second: Sequence[Number]) -> Number:
     """The scalar product of two vectors."""
-    return sum(x * y for x, y in zip(one, other, strict=True))
+    return sum(x * y for x, y in zip(first, second, strict=True))
 
 
 def quaternion_rates(q: Sequence[Number], w: Sequence[Number]) -> Vector:
@@ -140,8 +140,8 @@ def _rigid_motion() -> tuple[tuple[tuple[float, ...], ...], ...]:
     constants = [[[0.0] * 6 for _ in range(6)] for _ in range(6)]
     for i, j, k in _CYCLIC:
         for shifts in ((0, 0, 0), (0, 3, 3), (3, 0, 3)):  # turning by turning turns, turning by moving moves
-            for one, other, sign in ((i, j, 1.0), (j, i, -1.0)):
-                constants[one + shifts[0]][other + shifts[1]][k + shifts[2]] = sign
+            for first, second, sign in ((i, j, 1.0), (j, i, -1.0)):
+                constants[first + shifts[0]][second + shifts[1]][k + shifts[2]] = sign
     return tuple(tuple(map(tuple, rows)) for rows in constants)
 
 

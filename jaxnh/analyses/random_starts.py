@@ -19,27 +19,25 @@ Box = Mapping[str, tuple[float, float]]
 """Coordinates of the start by name, each with its lowest and its highest value."""
 
 
-def check_box(box: Box, setting: Setting, key: str) -> None:
-    """Check that a box is one of coordinates that a start has, and that no axis is one of start states."""
+def check_box(box: Box, setting: Setting) -> None:
+    """Check that the option `box` is of coordinates that a start has, and that no axis is one of start states."""
     flow = setting.flow
     for name in box:
         if name not in flow.coordinates:
-            raise OptionError(
-                f"there is no coordinate {name}; known are {', '.join(flow.coordinates)}", f"{key}.{name}"
-            )
+            raise OptionError(f"there is no coordinate {name}; known are {', '.join(flow.coordinates)}", f"box.{name}")
         if not _decides(flow, name):
-            raise OptionError(f"the constraint decides {name}; leave it out", f"{key}.{name}")
+            raise OptionError(f"the constraint decides {name}; leave it out", f"box.{name}")
     for axis in setting.axes:
         if axis.kind == "start":
             message = f"random starts and the axis {axis.name} of start states exclude each other; leave one out"
-            raise OptionError(message, key)
+            raise OptionError(message, "box")
 
 
 def _decides(flow: Flow, name: str) -> bool:
     """Return whether a start state depends on a coordinate."""
     states = [flow.start({**dict.fromkeys(flow.coordinates, 0.0), name: value}) for value in (0.0, 1e-3)]
-    one, other = (np.stack(np.broadcast_arrays(*jax.tree.leaves(state))) for state in states)
-    return not np.array_equal(one, other)
+    first, second = (np.stack(np.broadcast_arrays(*jax.tree.leaves(state))) for state in states)
+    return not np.array_equal(first, second)
 
 
 def random_start_batch(

@@ -38,8 +38,8 @@ def at_rest(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"]
     system = batch.system
     if not isinstance(system, Section):
         return np.zeros(len(u), bool)
-    begun = points_at(batch, lanes, batch.start)
-    speeds = [np.abs(lanes(_rates_at, (system,), (each, dict(batch.p)))) for each in (u, begun)]
+    start = points_at(batch, lanes, batch.start)
+    speeds = [np.abs(lanes(_rates_at, (system,), (each, dict(batch.p)))) for each in (u, start)]
     largest = np.nanmax(np.concatenate(speeds), axis=0, initial=0.0)
     return np.all(speeds[0] <= _STILL * largest, axis=1)
 

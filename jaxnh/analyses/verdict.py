@@ -186,8 +186,8 @@ def second_across(
         aside = (exponents == 0.0) & (errors == 0.0)
         aside &= np.cumsum(aside, axis=1) == 1
     counted = np.cumsum(~aside, axis=1)
-    here = ~aside & (counted == 2)
-    known, place = here.any(axis=1), np.argmax(here, axis=1)[:, None]
+    crossing = ~aside & (counted == 2)
+    known, place = crossing.any(axis=1), np.argmax(crossing, axis=1)[:, None]
     second, error = (np.take_along_axis(values, place, axis=1)[:, 0] for values in (exponents, errors))
     return np.where(known, second, 0.0), np.where(known, error, np.inf)
 
@@ -224,8 +224,8 @@ def _return_times(
 
 def _time_of_returns(strobe: ReturnMap, transient: ArrayLike, state: State, p: Parameters, count: Array) -> Array:
     """Return the time that `count` returns take after a transient, for one lane."""
-    begun = iterate(strobe, transient, state, p)
-    return iterate(strobe, count, begun, p).t - begun.t
+    start = iterate(strobe, transient, state, p)
+    return iterate(strobe, count, start, p).t - start.t
 
 
 def _classify_without_clock(
@@ -260,15 +260,15 @@ def _recurrences(batch: LaneBatch, lanes: LaneRunner, taken: Int[np.ndarray, " l
     return lags
 
 
-def unsteadiness(batch: LaneBatch, lanes: LaneRunner, begun: int, count: int) -> Float[np.ndarray, " lanes"]:
+def unsteadiness(batch: LaneBatch, lanes: LaneRunner, start: int, count: int) -> Float[np.ndarray, " lanes"]:
     """Return the largest third difference of smooth averages over four runs of `count`/4 periods, in sizes.
 
     The first begins so many periods from the start. Averages are those of `window_averages`. Not a number where a lane
     is lost.
     """
     each = BLOCKS * max(count // (2 * BLOCKS), 1)
-    with lanes.stage(f"verdict: following {batch.count} quasiperiodic lanes", batch.count * (begun + 2 * each)):
-        state = lanes.iterate(batch.strobe(), begun, batch.lanes)
+    with lanes.stage(f"verdict: following {batch.count} quasiperiodic lanes", batch.count * (start + 2 * each)):
+        state = lanes.iterate(batch.strobe(), start, batch.lanes)
         first = average_window(batch, lanes, state, each)
         second = average_window(batch, lanes, first.state, each)
     low, high = np.minimum(first.low, second.low), np.maximum(first.high, second.high)

@@ -156,13 +156,13 @@ def window_averages(strobe: ReturnMap, each: ArrayLike, state: State, p: Paramet
 
     def block(carry: tuple[_Sums, Array], number: Array) -> tuple[tuple[_Sums, Array], Array]:
         sums, weights = carry
-        begun = sums._replace(block=as_batched(jnp.zeros_like(sums.block), sums.path[0])), weights
-        ended = lax.fori_loop(number * each, (number + 1) * each, period, begun)
+        start = sums._replace(block=as_batched(jnp.zeros_like(sums.block), sums.path[0])), weights
+        ended = lax.fori_loop(number * each, (number + 1) * each, period, start)
         return ended, ended[0].block / jnp.float64(each)
 
     zero, far = jnp.zeros(width), jnp.full(d, jnp.inf)
-    begun = _Sums(state, zero, jnp.zeros((2, width)), zero, far, -far, jnp.zeros(d))
-    begun = as_batched(begun, jax.tree.leaves(state)[0])
-    (sums, weights), blocks = lax.scan(block, (begun, jnp.zeros(3)), jnp.arange(BLOCKS, dtype=jnp.int32))
+    initial = _Sums(state, zero, jnp.zeros((2, width)), zero, far, -far, jnp.zeros(d))
+    initial = as_batched(initial, jax.tree.leaves(state)[0])
+    (sums, weights), blocks = lax.scan(block, (initial, jnp.zeros(3)), jnp.arange(BLOCKS, dtype=jnp.int32))
     whole, halves = sums.whole / weights[0], sums.halves / weights[1:, None]
     return WindowAverages(sums.state, whole, halves, blocks, sums.low, sums.high, sums.path)

@@ -201,9 +201,11 @@ def write_csv(path: Path, group: str, out: TextIO) -> None:
     Numbers are written so that they are read back to the last bit, and flags as the words that they stand for.
     """
     with h5py.File(path, "r") as file:
-        of = {key: store.dimensions(item) for key, item in store.variables(store.groups(file)[group]).items()}
-    dims = max(of.values(), key=len, default=())
-    keys = [*dims, *(key for key in of if key not in dims and set(of[key]) <= set(dims))]
+        dimensions_of = {
+            key: store.dimensions(item) for key, item in store.variables(store.groups(file)[group]).items()
+        }
+    dims = max(dimensions_of.values(), key=len, default=())
+    keys = [*dims, *(key for key in dimensions_of if key not in dims and set(dimensions_of[key]) <= set(dims))]
     with store.open_result(path) as tree:
         data = tree[group].to_dataset()[keys]
         if not dims:  # numbers alone: one row

@@ -15,6 +15,6 @@ def check_result(file: Path) -> None:
     """
     if file.is_file():
         return
-    begun = file.with_name(f"{file.name}.tiles").is_dir()  # as `storage.tiles.folder_of`, which h5py comes with
-    advice = "; a run of it was begun and is not at its end: run the same sweep again to go on" if begun else ""
+    unfinished = file.with_name(f"{file.name}.tiles").is_dir()  # as `storage.tiles.folder_of`, which h5py comes with
+    advice = "; a run of it was begun and is not at its end: run the same sweep again to go on" if unfinished else ""
     raise InputError(f"command line: FILE: {file} is {'a folder' if file.is_dir() else 'not there'}{advice}")

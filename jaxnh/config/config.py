@@ -118,9 +118,9 @@ class Config(Block):
         first, *others = self.sweep.grids
         differences = [f"{name} is swept" for name in others]
         for name in dict.fromkeys([*ours, *theirs]):
-            here, there = ours.get(name), theirs.get(name)
-            if name != first and name not in others and here != there:
-                differences.append(f"{name} is {_value_in_words(here)} here, {_value_in_words(there)} there")
+            own, other = ours.get(name), theirs.get(name)
+            if name != first and name not in others and own != other:
+                differences.append(f"{name} is {_value_in_words(own)} here, {_value_in_words(other)} there")
         return differences
 
     def _parameters(self) -> dict[str, Any]:

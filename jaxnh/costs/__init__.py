@@ -16,7 +16,7 @@ class Study(NamedTuple):
 
     Attributes:
         price: (batch along the first axis, lane runner) to its dataset; None where the sweep has nothing to measure.
-        table: of it.
+        table: (dataset) to the table that is printed.
         absent: why there may be none.
     """
 

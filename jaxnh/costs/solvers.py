@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
-from typing import Any, ClassVar
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -26,7 +26,7 @@ from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting
-from jaxnh.solvers.diffrax_solvers import DiffraxSteps
+from jaxnh.solvers.diffrax_solvers import DiffraxSteps, OneTermSolver
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
@@ -44,7 +44,7 @@ _SETTLED = 100  # periods before the states that are timed
 _TIMED_SECONDS = 0.05
 
 
-class AdaptivePeriod(diffrax.AbstractSolver):
+class AdaptivePeriod(OneTermSolver):
     """A solver of diffrax with steps by `PIDController`, as one step over the whole period.
 
     Attributes:
@@ -54,18 +54,6 @@ class AdaptivePeriod(diffrax.AbstractSolver):
 
     solver: diffrax.AbstractSolver = eqx.field(static=True)
     tolerance: float = eqx.field(static=True)
-
-    term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
-
-    def order(self, terms: Any) -> None:
-        return None
-
-    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> None:
-        return None
-
-    def func(self, terms: diffrax.AbstractTerm, t0: Any, y0: Any, args: Any) -> Any:
-        return terms.vf(t0, y0, args)
 
     def step(
         self, terms: diffrax.AbstractTerm, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
@@ -125,9 +113,9 @@ class SolverBench:
         self.system, self._lanes = batch.system, lanes
         self.split = isinstance(scheme_of(batch.system).reference, IsokineticSplitting)
         self.count = lanes.tile * len(lanes.devices)
-        begun = batch.take(np.linspace(0, batch.count - 1, self.count).round().astype(int)).lanes
-        state = lanes.iterate(batch.strobe(), _SETTLED, begun)
-        self._at = state, begun[1]
+        start = batch.take(np.linspace(0, batch.count - 1, self.count).round().astype(int)).lanes
+        state = lanes.iterate(batch.strobe(), _SETTLED, start)
+        self._at = state, start[1]
 
     def seconds(self, setting: SolverSetting, periods: int = 1) -> float:
         """Wall time of one call a lane-period; a first call compiles."""

@@ -46,8 +46,8 @@ def points(experiment: Experiment, axes: Sequence[Axis], places: Sequence[Int[np
     """The lanes at places along each axis, one value of each shared axis for all of them."""
     where = {axis.name: axis.values[place] for axis, place in zip(axes, places, strict=True)}
     shared = {axis.name: float(where[axis.name][0]) for axis in axes if axis.kind == "shared"}
-    own, begun = ({a.name: where[a.name] for a in axes if a.kind == kind} for kind in ("lane", "start"))
-    return SweepPoints(experiment.dynamics(shared), experiment.start(begun, len(places[0]), shared, own), own, where)
+    own, starts = ({a.name: where[a.name] for a in axes if a.kind == kind} for kind in ("lane", "start"))
+    return SweepPoints(experiment.dynamics(shared), experiment.start(starts, len(places[0]), shared, own), own, where)
 
 
 def points_together(

@@ -204,7 +204,7 @@ def _groups(
 def _by_class(
     sweep: _DecidedSweep, names: Sequence[str], places: Sequence[np.ndarray], lanes: LaneExecutor
 ) -> dict[str, xr.Dataset]:
-    """The same of lanes that differ in their class of steps: those of each in calls of their own."""
+    """Results of lanes of several classes of steps, each class in calls of its own."""
     job, shape = sweep.job, [len(axis.values) for axis in sweep.experiment.axes]
     every = classes_of(job.plan.step_classes)
     classes = every[np.ravel_multi_index([place * job.cutting.step for place in places], shape)]

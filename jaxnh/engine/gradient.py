@@ -79,7 +79,7 @@ def gradient(
         return given, rates @ jnp.stack([dp[key] for key in sorted(dp)])
 
     def function(**parameters: ArrayLike) -> Array:
-        result = value({name: jnp.asarray(one, jnp.float64) for name, one in parameters.items()})
+        result = value({name: jnp.asarray(number, jnp.float64) for name, number in parameters.items()})
         return result[0] if isinstance(numbers, str) else result
 
     return function

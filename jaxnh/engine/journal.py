@@ -39,11 +39,11 @@ class _JournaledTiles:
         if first == count_of(call.lanes):
             return
         begin, worth_keeping = perf_counter(), True
-        for begun, result in self._tiles.run(call, first):
+        for start, result in self._tiles.run(call, first):
             worth_keeping &= perf_counter() - begin >= _WORTH_KEEPING
             if worth_keeping:
-                self._journal.add(JournalEntry(number, begun, name, tuple(jax.tree.leaves(result))))
-            yield begun, result
+                self._journal.add(JournalEntry(number, start, name, tuple(jax.tree.leaves(result))))
+            yield start, result
             begin = perf_counter()
 
     def _name_of(self, call: Call) -> str:

@@ -153,9 +153,9 @@ class _Run:
         others = [piece for piece in every if piece.number not in self._finished.records]
         there = self._finished.sound(stage, others)
         if len(there) < len(others):
-            (part, of), cutting = self._how.part or (1, 1), stage.cutting
+            (part, parts), cutting = self._how.part or (1, 1), stage.cutting
             raise _Waiting(
-                f"part {part}/{of} of level {cutting.level} of {cutting.levels} is done, "
+                f"part {part}/{parts} of level {cutting.level} of {cutting.levels} is done, "
                 f"and {len(others) - len(there)} tiles of other parts are not"
             )
         last = [piece for piece in stage.cutting.pieces() if stage.cutting.is_whole(piece)]
@@ -211,8 +211,8 @@ class _Run:
         self._finished.dropped.clear()
         self._earlier += sum(self._finished.records[piece.number].spent.seconds for piece in there)
         if there:
-            of = f" of level {job.cutting.level}" if job.cutting.level else ""
-            self._progress.note(f"{len(there)} of {len(pieces)} tiles{of} are done; going on")
+            level = f" of level {job.cutting.level}" if job.cutting.level else ""
+            self._progress.note(f"{len(there)} of {len(pieces)} tiles{level} are done; going on")
 
     def _compute(self, job: Job, missing: list[Piece]) -> None:
         if not missing:
@@ -247,18 +247,18 @@ class _Run:
 
     def _batches(self, job: Job, missing: Sequence[Piece], lanes: LaneExecutor) -> list[list[Piece]]:
         """Batches of pieces, first those that a stopped run has begun."""
-        rest, begun = {piece.number: piece for piece in missing}, list[list[Piece]]()
+        rest, ready = {piece.number: piece for piece in missing}, list[list[Piece]]()
         for numbers in interrupted_batches(self._folder, job):
             if rest.keys() >= set(numbers):  # those of another part are not ours to go on with
-                begun.append([rest.pop(number) for number in numbers])
+                ready.append([rest.pop(number) for number in numbers])
         axes, left = axes_of(self._experiment.axes, job.cutting), list(rest.values())
-        return begun + batches(self._experiment, axes, self._requested, job, left, lanes, self._level)
+        return ready + batches(self._experiment, axes, self._requested, job, left, lanes, self._level)
 
     def _run_stage(self, job: Job, pieces: Sequence[Piece], cost: dict[int, float], body: Callable[[], object]) -> None:
         """Show many pieces as one stage."""
         names = ", ".join(dict.fromkeys(name for piece in pieces for name in piece.names))
-        of = f" of level {job.cutting.level} of {job.cutting.levels}" if job.cutting.level else ""
-        label = f"{names}: {len(pieces)} tiles{of}"
+        level = f" of level {job.cutting.level} of {job.cutting.levels}" if job.cutting.level else ""
+        label = f"{names}: {len(pieces)} tiles{level}"
         self._shown.start(label, sum(cost[piece.number] for piece in pieces))
         self._progress.shown = NullProgress()
         try:

@@ -101,7 +101,7 @@ class Session:
         return "<br>".join([f"<b>{title}</b>", *facts])
 
     def __repr__(self) -> str:
-        """The same in one line."""
+        """The experiment and what calibration has chosen so far, in one line."""
         return f"<{', '.join(self._describe())}>"
 
     def _describe(self) -> list[str]:

@@ -98,12 +98,12 @@ def machine(device: Any, flags: str | None = None) -> dict[str, str]:
     return {"processor": kind, "xla_options": " ".join(kept)}
 
 
-def describe_differences(made: Mapping[str, str], here: Mapping[str, str]) -> str:
+def describe_differences(made: Mapping[str, str], own: Mapping[str, str]) -> str:
     """Describe how tiles made on one machine differ from those of another; "" where they do not."""
-    if made == here:
+    if made == own:
         return ""
-    key, what = ("processor", "") if made.get("processor") != here["processor"] else ("xla_options", "XLA options ")
-    told = f"of {what}[{made.get(key, 'unknown')}], and here it is {what}[{here[key]}], whose last bits may differ"
+    key, what = ("processor", "") if made.get("processor") != own["processor"] else ("xla_options", "XLA options ")
+    told = f"of {what}[{made.get(key, 'unknown')}], and here it is {what}[{own[key]}], whose last bits may differ"
     return f"{told}: go on where they were made"
 
 

@@ -28,9 +28,9 @@ def with_orbits(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
     others["curves"] = curves.assign(points)
     if "codimension_two" in groups and "curve" in groups["codimension_two"].data_vars:
         special = groups["codimension_two"]
-        of, at = _nearest_points(special, curves)
+        curve, at = _nearest_points(special, curves)
         chosen = {
-            name: (("codimension_two", "of_orbit"), np.where(of[:, None] < 0, np.nan, values[of, at]))
+            name: (("codimension_two", "of_orbit"), np.where(curve[:, None] < 0, np.nan, values[curve, at]))
             for name, (_, values) in points.items()
         }
         others["codimension_two"] = special.assign(chosen)

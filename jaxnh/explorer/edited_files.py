@@ -74,7 +74,7 @@ class EditedFiles:
         return EditedFiles(self.config, self.overrides, {**self.texts, **texts})
 
     def _carrying(self, texts: dict[Path, str]) -> dict[Path, str]:
-        """The same, with a config that carries the text of the user's file made to carry this one."""
+        """The files with this text of the user's file, in the config too where that carries it."""
         data, others = from_text(texts[self.config]).data, [text for path, text in texts.items() if path != self.config]
         explore = data.get("explore")
         if not others or not isinstance(explore, dict) or explore.get("system_file") in (None, others[0]):

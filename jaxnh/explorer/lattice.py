@@ -38,8 +38,8 @@ class Lattice:
             values = item.transpose(*axes, ...).to_numpy()
             if key not in self._known:
                 self._known[str(key)] = np.zeros((*self._shape, *values.shape[2:]), values.dtype)
-            into, of = (np.ix_(*both) for both in zip(*around, strict=True))
-            self._known[str(key)][into] = values[of]
+            into, source = (np.ix_(*both) for both in zip(*around, strict=True))
+            self._known[str(key)][into] = values[source]
         self._part = part
 
     def dataset(self) -> xr.Dataset:

@@ -94,7 +94,7 @@ def open_texts(
 
 
 def keeping(opened: PageContent, before: PictureSource, seen: SavedView) -> PageContent:
-    """The same with what was seen before, where the axes, their ranges and the quantity are still there."""
+    """The page with the view that was shown before, where its axes, ranges and quantity still exist."""
     source = opened.source
     same = source.first.ranges == before.first.ranges and source.first.axis == before.first.axis
     try:

@@ -44,7 +44,7 @@ def layers_of(groups: Mapping[str, xr.Dataset], across: str, up: str) -> list[La
 
 
 def _turned(layer: Layer) -> Layer:
-    """The same with the axes exchanged."""
+    """The overlay with its axes exchanged."""
     return layer._replace(items=tuple(item._replace(x=item.y, y=item.x) for item in layer.items))
 
 
@@ -135,9 +135,9 @@ def _of_codimension_two(data: xr.Dataset, across: str, up: str) -> Iterator[Laye
 
     def facts(c: int, _: int) -> Facts:
         where = [(name, _number(data, name, (c,))) for name in (across, up)]
-        of = [("on curves of", f"period {int(data['period'][c])}")] if "period" in data else []
+        period = [("on curves of", f"period {int(data['period'][c])}")] if "period" in data else []
         along = _of_curve(data, c)
-        return [("codimension two", _word(data["kind"], c)), *where, *of, *along, *_multipliers(data, (c,))]
+        return [("codimension two", _word(data["kind"], c)), *where, *period, *along, *_multipliers(data, (c,))]
 
     for what, (words, _) in meanings(data["kind"]).items():
         chosen = np.flatnonzero(data["kind"].to_numpy() == what).tolist()
@@ -202,10 +202,12 @@ def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
         for attracts in (True, False):
             items = []
             for b in np.flatnonzero(period == n).tolist():
-                here = stretch_places(stable[b] == attracts, np.zeros(len(x[b]), bool))
-                if np.any(here & np.isfinite(x[b])):
+                places = stretch_places(stable[b] == attracts, np.zeros(len(x[b]), bool))
+                if np.any(places & np.isfinite(x[b])):
                     items += [
-                        Item(np.where(here, x[b], np.nan), y[b, :, i], partial(facts, b), partial(_points_at, data, b))
+                        Item(
+                            np.where(places, x[b], np.nan), y[b, :, i], partial(facts, b), partial(_points_at, data, b)
+                        )
                         for i in range(max(n, 1) if levels is None else 1)
                     ]
             if items:
@@ -238,13 +240,13 @@ def _of_bifurcations(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
     x = np.broadcast_to(data[across].to_numpy()[:, None], y.shape)
 
     def facts(c: int, _: int) -> Facts:
-        of = _period(int(data["period"][c])) if "period" in data else ""
+        period = _period(int(data["period"][c])) if "period" in data else ""
         more = [("normal form", f"{float(data['coefficient'][c]):.6g}")] if "coefficient" in data else []
         born = _words(data, ("criticality",), c)
         where = [(across, _number(data, across, (c,))), *_second(data, up, levels, c)]
         branch = [("of the branch of number", f"{int(data['branch'][c])}")] if "branch" in data.data_vars else []
         along = [*branch, *_of_curve(data, c)]
-        return [(_word(data["kind"], c), of), *where, *born, *more, *along, *_multipliers(data, (c,))]
+        return [(_word(data["kind"], c), period), *where, *born, *more, *along, *_multipliers(data, (c,))]
 
     for what, (words, _) in meanings(data["kind"]).items():
         chosen = np.flatnonzero(data["kind"].to_numpy() == what).tolist()

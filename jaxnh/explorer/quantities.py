@@ -37,5 +37,5 @@ def analyses_of(quantity: str, own: Mapping[str, Mapping[str, Any] | None]) -> O
 
 
 def shortened(analyses: Options) -> Options:
-    """The same for a first look."""
+    """Options that compute a first look: fewer periods of each analysis."""
     return {name: {**options, **_SHORT[name]} for name, options in analyses.items()}

@@ -37,7 +37,7 @@ class SavedView:
     system_file: str = ""
 
     def with_files(self, result: str, over: Sequence[str]) -> SavedView:
-        """The same with other names of files."""
+        """The view with other names of result files."""
         return replace(self, result=result, over=tuple(over))
 
     def first(self, start: View) -> View:

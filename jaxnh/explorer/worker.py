@@ -28,7 +28,7 @@ class Request(Generic[T]):
         told: of the pass in hand.
         done: told when all passes are over.
         stale: whether it is no longer wanted.
-        begun: how many passes are over.
+        finished: number of passes that are over.
     """
 
     passes: Iterator[T]
@@ -37,7 +37,7 @@ class Request(Generic[T]):
     told: Told
     done: Callable[[], None] = lambda: None
     stale: bool = field(default=False, init=False)
-    begun: int = field(default=0, init=False)
+    finished: int = field(default=0, init=False)
 
 
 class Worker:
@@ -113,7 +113,7 @@ class Worker:
                     self._changed.wait()
                 if self._over:
                     return
-                key, request = min(self._requests.items(), key=lambda item: item[1].begun)
+                key, request = min(self._requests.items(), key=lambda item: item[1].finished)
             self._now = request
             ended = self._pass(request)
             self._now = None
@@ -135,7 +135,7 @@ class Worker:
             if not request.stale:
                 request.failed(error)
             return True
-        request.begun += 1
+        request.finished += 1
         if not request.stale:
             request.answer(result)
         return False

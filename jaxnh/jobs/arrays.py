@@ -59,9 +59,9 @@ def as_text(data: np.ndarray) -> np.ndarray:
     return data.astype(str) if data.dtype.kind in "OT" else data
 
 
-def checksum(data: np.ndarray, begun: Hash | None = None) -> Hash:
+def checksum(data: np.ndarray, running: Hash | None = None) -> Hash:
     """SHA-256 of an array, or of those before it and then this one."""
-    digest = begun or hashlib.sha256()
+    digest = running or hashlib.sha256()
     if data.dtype.kind == "U":
         digest.update("".join(f"{word}\0" for word in data.ravel()).encode())
     else:

@@ -129,15 +129,15 @@ class AdaptiveStrobe(ReturnMap):
 
         first = jax.tree.leaves(state)[0]
         zero = jnp.zeros_like(first)
-        begun = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
+        start = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
         if not reduction.leaves_constraints:
-            begun = along_tangents(lambda z, own: system.project(self.begin, z, {**p, **own}), begun)
-        placed = begun.state
-        begun = Moving(reduction.reduce(placed), tuple(map(reduction.reduce, begun.tangents)), begun.log_volume)
-        size = [jnp.abs(lax.stop_gradient(x)) for x in _components(begun.state)]
-        rate = jax.tree.unflatten(jax.tree.structure(begun.state), rates(self.begin, begun.state, own)[: _count(begun)])
+            start = along_tangents(lambda z, own: system.project(self.begin, z, {**p, **own}), start)
+        placed = start.state
+        start = Moving(reduction.reduce(placed), tuple(map(reduction.reduce, start.tangents)), start.log_volume)
+        size = [jnp.abs(lax.stop_gradient(x)) for x in _components(start.state)]
+        rate = jax.tree.unflatten(jax.tree.structure(start.state), rates(self.begin, start.state, own)[: _count(start)])
         h = self._first_step(size, _components(rate))
-        course = _Progress(begun, size, zero, h, zero + 1.0, zero > 1.0, jnp.int32(0))
+        course = _Progress(start, size, zero, h, zero + 1.0, zero > 1.0, jnp.int32(0))
         ended = lax.while_loop(unfinished, advance, as_batched(course, first))
         moving = ended.moving
         if not reduction.leaves_constraints:

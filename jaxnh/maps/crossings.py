@@ -68,8 +68,8 @@ class SteppedStrobe(ReturnMap):
     def pushforward(
         self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
     ) -> Pushforward:
-        begun = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
-        return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.step_map, pushed, p, volume), begun)
+        start = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
+        return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.step_map, pushed, p, volume), start)
 
 
 class _Search(NamedTuple):
@@ -154,13 +154,13 @@ class EventStrobe(ReturnMap):
     ) -> Pushforward:
         """Push tangents as every map does, then along the flow onto the section, with the field's rate."""
         flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
-        begun = Pushforward(state.state, flow_tangents, jnp.ones_like(state.t))
+        start = Pushforward(state.state, flow_tangents, jnp.ones_like(state.t))
 
         def advance(step_map: ReturnMap, carried: Carried) -> Carried:
             assert isinstance(carried, Pushforward)
             return _compose(step_map, carried, p, volume)
 
-        ended = self._searched(1, state, tuple(t.state.t for t in tangents), begun, p, advance)
+        ended = self._searched(1, state, tuple(t.state.t for t in tangents), start, p, advance)
         last = ended.carried
         assert isinstance(last, Pushforward)
         pushed = tuple(
@@ -174,7 +174,7 @@ class EventStrobe(ReturnMap):
         n: ArrayLike,
         start: Crossing,
         by_tangent: tuple[Array, ...],
-        begun: Carried,
+        at_begin: Carried,
         p: Parameters,
         advance: Callable[[ReturnMap, Carried], Carried],
     ) -> _Search:
@@ -183,7 +183,7 @@ class EventStrobe(ReturnMap):
         rate = self.system.rate(state, p)
         zero, none = jnp.zeros_like(rate), jnp.int32(0)
         first = _Search(
-            carried=begun,
+            carried=at_begin,
             rate=rate,
             t=start.t,
             by_tangent=by_tangent,

@@ -75,19 +75,19 @@ class Arithmetic(NamedTuple):
     def sin_cos(self, a: Double) -> tuple[Double, Double]:
         """sin a and cos a, by series at a/16, |a| ≤ π, and doublings; 1 − cos keeps its digits in them."""
         x = scale(self.rem(a, self.constant(_TURN), jnp.round), 0.5**_HALVINGS)
-        square, one = self.mul(x, x), self.constant(1)
+        square, unit = self.mul(x, x), self.constant(1)
         sine = versine = self.constant(0)
         for k in range(_TERMS, 0, -1):  # Horner: 1 − x²/(2k (2k+1)) (…), x²/((2k−1) 2k) (1 − …)
             of_sine, of_versine = Fraction(1, 2 * k * (2 * k + 1)), Fraction(1, (2 * k + 1) * (2 * k + 2))
-            sine = self.mul(self.mul(square, self.constant(of_sine)), self.add(one, negative(sine)))
-            versine = self.mul(self.mul(square, self.constant(of_versine)), self.add(one, negative(versine)))
-        sine = self.mul(x, self.add(one, negative(sine)))
-        versine = self.mul(scale(square, 0.5), self.add(one, negative(versine)))
+            sine = self.mul(self.mul(square, self.constant(of_sine)), self.add(unit, negative(sine)))
+            versine = self.mul(self.mul(square, self.constant(of_versine)), self.add(unit, negative(versine)))
+        sine = self.mul(x, self.add(unit, negative(sine)))
+        versine = self.mul(scale(square, 0.5), self.add(unit, negative(versine)))
         for _ in range(_HALVINGS):
-            cosine = self.add(one, negative(versine))
+            cosine = self.add(unit, negative(versine))
             versine = scale(self.mul(sine, sine), 2.0)
             sine = scale(self.mul(sine, cosine), 2.0)
-        return sine, self.add(one, negative(versine))
+        return sine, self.add(unit, negative(versine))
 
     def rem(self, a: Double, b: Double, whole: Callable[[Array], Array] = jnp.trunc) -> Double:
         """Remainder of a divided by b; a divisor that is 2 π in float64 is 2 π."""
@@ -148,9 +148,9 @@ class Arithmetic(NamedTuple):
         """A power of two 2ⁿ and exp(a − n ln 2) − 1, by a series at a sixteenth and doublings."""
         n = jnp.clip(jnp.round(a.hi * (1.0 / float(_LN2))), _LEAST_EXPONENT, _LARGEST_EXPONENT)
         x = scale(self.add(a, negative(self.mul(Double(n, None), self.constant(_LN2)))), 0.5**_HALVINGS)
-        grown, one, two = self.constant(0), self.constant(1), self.constant(2)
+        grown, unit, two = self.constant(0), self.constant(1), self.constant(2)
         for k in range(_POWERS, 0, -1):  # Horner: x (1 + x/2 (1 + x/3 (…)))
-            grown = self.mul(self.mul(x, self.constant(Fraction(1, k))), self.add(one, grown))
+            grown = self.mul(self.mul(x, self.constant(Fraction(1, k))), self.add(unit, grown))
         for _ in range(_HALVINGS):
             grown = self.mul(grown, self.add(two, grown))
         return power_of_two(n), grown

@@ -152,8 +152,8 @@ def _scan(arithmetic: Arithmetic, params: Mapping[str, Any], values: list[Value]
         results = _whole(_evaluate(arithmetic, params["jaxpr"], [*values[:shared], *carried, *row]))
         return results[: states - shared], results[states - shared :]
 
-    begun, rows = _whole(values[shared:states]), values[states:]
-    ended, stacked = lax.scan(turn, begun, rows, length=params["length"], reverse=params["reverse"])
+    start, rows = _whole(values[shared:states]), values[states:]
+    ended, stacked = lax.scan(turn, start, rows, length=params["length"], reverse=params["reverse"])
     return [*ended, *stacked]
 
 

@@ -168,12 +168,12 @@ class GeneralStrobe(ReturnMap):
 
         first, grid, system = jax.tree.leaves(state)[0], jnp.asarray(self.grid), self.system
         zero = as_batched(jnp.zeros_like(first), first) if volume else None
-        begun = Moving(state, moved, zero)
+        start = Moving(state, moved, zero)
         project = along_tangents(lambda system, t, z, _, p: system.project(t, z, p))
         if system.reduction.leaves_constraints:
-            ended = self._march(field, project, begun, len(tangents) + 1)
+            ended = self._march(field, project, start, len(tangents) + 1)
         else:
-            placed, reduce = project(grid[0], begun), system.reduction.reduce
+            placed, reduce = project(grid[0], start), system.reduction.reduce
             reduced = Moving(
                 reduce(placed.state), reduce(placed.tangents) if stacked else tuple(map(reduce, placed.tangents)), zero
             )
@@ -246,7 +246,7 @@ def linearise(
 def linearise_stacked(
     function: Callable[[Any, Any], Any], y: Any, own: Mapping[str, Any], moved: Any, by_p: Any, *, in_turn: bool = False
 ) -> tuple[Any, Any]:
-    """The same along tangents whose numbers are arrays (tangents,), as those of own are where there are some.
+    """`linearise` along tangents stacked in arrays (tangents,), with their derivatives of `own` where there are some.
 
     Args:
         in_turn: whether tangents take turns in a loop, and do not lie side by side.
@@ -267,15 +267,15 @@ def linearise_all(
     y: Any,
     own: Mapping[str, Any],
     moved: Sequence[Any],
-    by_p: Sequence[Mapping[str, Any] | None],
+    by_p: Sequence[Any],
     *,
     stacked: bool,
 ) -> tuple[Any, tuple[Any, ...]]:
-    """The same as `linearise`, by one derivative of all tangents where they are to be stacked."""
-    if not stacked or len(moved) < 2:
+    """`linearise`, where tangents may be a single one that has all of them stacked."""
+    if not stacked:
         return linearise(function, y, own, moved, by_p)
-    value, slopes = linearise_stacked(function, y, own, *stacked_tangents(moved, own, by_p))
-    return value, unstacked_tangents(slopes, len(moved))
+    value, slopes = linearise_stacked(function, y, own, moved[0], by_p[0])
+    return value, (slopes,)
 
 
 def stacked_tangents(
@@ -315,15 +315,9 @@ def stages_in_loop(system: Flow, solver: WrittenOutRungeKutta, tangents: int) ->
     return time_split(system).size * (1 + tangents) * solver.stages > _LARGEST_STEP
 
 
+@cached_by_structure
 def time_split(system: Flow) -> TimeSplit:
     """Split a flow's rate into what depends on time alone and the rest; traced once for all flows of a structure."""
-    shapes = tuple((np.shape(leaf)) for leaf in jax.tree.leaves(system))
-    return _split(jax.tree.structure(system), shapes)
-
-
-@cached_by_structure
-def _split(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> TimeSplit:
-    system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
 
     def rate(t: Any, system: Flow, lane: tuple[State, Mapping[str, Any]]) -> State:
         state, own = lane

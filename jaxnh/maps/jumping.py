@@ -26,8 +26,7 @@ from jaxnh.maps.general_flow import (
     Moving,
     first_of_stack,
     lanes_per_tile,
-    linearise,
-    linearise_stacked,
+    linearise_all,
     own_parameters,
     roomy_grid,
     stack_leaves,
@@ -41,12 +40,13 @@ from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Reading, sid
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
+from jaxnh.systems.tracing import traced_once
 
 _MOST_EVENTS = 64
 """Jumps and switches in one step; a lane that has more is taken to have infinitely many in finite time."""
 
 _MOST_IMPACTS = 4096
-"""The same where motions may rest on walls, which they come to by many impacts."""
+"""Events in one step where motions may rest on walls, which they come to by many impacts."""
 
 _BEGINS_ON_WALL = 1e-12  # of a step's way, where a period begins: a state there leaves, and does not arrive
 
@@ -89,28 +89,32 @@ class JumpingStrobe(ReturnMap):
         """Push tangents as every map does; the volume is the modulus of the determinant."""
         own = own_parameters(self.system, p)
         by_p: list[Any] = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
-        zero = jnp.zeros_like(state.y[0])
-        begun = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
-        ended = self._marched(begun, p, by_p)
-        pushed = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
+        zero, moved = jnp.zeros_like(state.y[0]), tuple(t.state for t in tangents)
+        if stacked := self.system.many_surfaces and len(tangents) > 1:
+            moved, by_p = ([each] for each in stacked_tangents(moved, own, by_p))
+        ended = self._marched(Moving(state, tuple(moved), zero if volume else None), p, by_p, stacked=stacked)
+        each = unstacked_tangents(ended.tangents[0], len(tangents)) if stacked else ended.tangents
+        pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
         return Pushforward(ended.state, pushed, jnp.exp(ended.log_volume) if volume else jnp.ones_like(zero))
 
     def end_of(self, step: Array) -> Array:
         """Time at the end of a step."""
         return jnp.asarray(self.grid)[step + 1]
 
-    def lane(self, p: Parameters, by_p: list[Any], *, volume: bool) -> _Lane:
+    def lane(self, p: Parameters, by_p: list[Any], *, volume: bool, stacked: bool = False) -> _Lane:
         """The steps of one lane.
 
         Args:
             by_p: of each tangent its derivative in the parameters, or None.
+            stacked: whether tangents are a single one that has all of them stacked.
         """
-        return _Lane(self, EventPassage(self.system, own_parameters(self.system, p), by_p, volume=volume))
+        own = own_parameters(self.system, p)
+        return _Lane(self, EventPassage(self.system, own, by_p, volume=volume, stacked=stacked))
 
-    def _marched(self, begun: Moving, p: Parameters, by_p: list[Any]) -> Moving:
+    def _marched(self, start: Moving, p: Parameters, by_p: list[Any], *, stacked: bool = False) -> Moving:
         """All steps."""
-        lane = self.lane(p, by_p, volume=begun.log_volume is not None)
-        first = as_batched(lane.begin(begun, jnp.asarray(self.grid)), begun.state.y[0])
+        lane = self.lane(p, by_p, volume=start.log_volume is not None, stacked=stacked)
+        first = as_batched(lane.begin(start, jnp.asarray(self.grid)), start.state.y[0])
         ended = lax.while_loop(lane.unfinished, lane.trial, first)
         stuck = ended.events > lane.most_events
         watch, reason = ended.moving.state.watch, ended.moving.state.reason
@@ -261,25 +265,21 @@ class _Lane:
     def _advance(self, t: Array, h: Array, sides: Heights, moving: Moving) -> Moving:
         """One Runge–Kutta step, on one branch of the field."""
         system, solver, c = self._system, self.strobe.solver, jnp.asarray(self.strobe.solver.c)
-        lane, count = self._passage, len(moving.tangents)
-        stacked = system.many_surfaces and count > 1
-        derivative, by_p = (linearise_stacked if stacked else linearise), lane.by_p
-        if stacked:
-            moved, by_p = stacked_tangents(moving.tangents, lane.own, lane.by_p)
-            moving = moving._replace(tangents=moved)
+        lane, count = self._passage, sum(jnp.size(dz.y[0]) for dz in moving.tangents)
+
+        @traced_once
+        def derivatives(system: PiecewiseSmooth, t: Array, y: Moving, sides: Heights, own: Any, by_p: Any) -> Moving:
+            def rate(z: PiecewisePoint, own: Any) -> PiecewisePoint:
+                return system.branch(t, z, own, separate_sides(system, sides))
+
+            divergence = system.divergence_of(lambda z: rate(z, own), y.state) if lane.volume else None
+            return Moving(*linearise_all(rate, y.state, own, y.tangents, by_p, stacked=lane.stacked), divergence)
 
         def rates(stage: Any, y: Moving) -> Moving:
-            at = t + c[stage] * h
-
-            def rate(z: PiecewisePoint, own: Parameters) -> PiecewisePoint:
-                return system.branch(at, z, own, separate_sides(system, sides))
-
-            divergence = system.divergence_of(lambda z: rate(z, lane.own), y.state) if lane.volume else None
-            return Moving(*derivative(rate, y.state, lane.own, y.tangents, by_p), divergence)
+            return derivatives(system, t + c[stage] * h, y, sides, lane.own, lane.by_p)
 
         in_loop = stages_in_loop(system, solver, count + lane.volume)
-        after = (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
-        return after._replace(tangents=unstacked_tangents(after.tangents, count)) if stacked else after
+        return (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
 
     def _sides_of_heights(self, sides: Heights) -> Heights:
         """The sides on which heights are, that of a release, which is below zero up to it, included."""

@@ -71,9 +71,9 @@ class _WithSection(PiecewiseSmooth):
         """The state after a jump of the flow, or where one of its constraints has begun."""
         return self.as_it_is.jumped(number, t, y, p, sides[:-1])
 
-    def begun(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+    def constrain(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """The state after the constraints of the flow have begun."""
-        return self.as_it_is.begun(t, y, p, sides[:-1])
+        return self.as_it_is.constrain(t, y, p, sides[:-1])
 
     def on_constraints(
         self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
@@ -151,8 +151,8 @@ class JumpingSection(ReturnMap):
         """Push tangents as every map does, then along the flow onto the section; the volume is a modulus."""
         own, zero = own_parameters(self.system.flow, p), jnp.zeros_like(state.t)
         by_p: list[Any] = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
-        begun = Moving(state.state, tuple(t.state.state for t in tangents), zero if volume else None)
-        ended = self._searched(1, state, begun, tuple(t.state.t for t in tangents), p, by_p)
+        start = Moving(state.state, tuple(t.state.state for t in tangents), zero if volume else None)
+        ended = self._searched(1, state, start, tuple(t.state.t for t in tangents), p, by_p)
         moving = ended.march.moving
         pushed = tuple(
             Tangent(Crossing(dz, later, zero), t.p)
@@ -165,7 +165,7 @@ class JumpingSection(ReturnMap):
         self,
         n: ArrayLike,
         start: Crossing,
-        begun: Moving,
+        at_begin: Moving,
         by_tangent: tuple[Array, ...],
         p: Parameters,
         by_p: list[Any],
@@ -173,9 +173,9 @@ class JumpingSection(ReturnMap):
         """Steps until n crossings are met, or there is no hope of the next one."""
         grid = jnp.stack([jnp.zeros_like(jnp.asarray(self.step)), jnp.asarray(self.step)])
         lane = _EqualSteps(_with_section(self.system), self.solver, grid, self.most_steps).lane(
-            p, by_p, volume=begun.log_volume is not None
+            p, by_p, volume=at_begin.log_volume is not None
         )
-        march = lane.begin(begun, grid)
+        march = lane.begin(at_begin, grid)
         side = side_of_section(self.system, march.height[-1], march.rate[-1], self.step)
         march = march._replace(side=(*march.side[:-1], side))
         first = _Approach(march, start.t, by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])

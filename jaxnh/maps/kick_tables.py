@@ -83,8 +83,8 @@ def processed_table(
     Every node is on the smooth grid: the steps are then of one constant length in its time, and what the processor
     reaches beyond the ends is there as well.
     """
-    begun, ended = (np.asarray(end)[None] for end in ends)
-    return _processed_tables((_clock_of(system),), solver, steps, (begun, ended), smallest)[0]
+    first, last = (np.asarray(end)[None] for end in ends)
+    return _processed_tables((_clock_of(system),), solver, steps, (first, last), smallest)[0]
 
 
 def whole_period(system: IsokineticParticle, solver: IsokineticSplitting, steps: int, *, smallest: int = 1) -> Table:

@@ -92,8 +92,8 @@ class KickStrobe(ReturnMap):
         table = jnp.asarray(self.table)
         moved = [(*t.state[0], _cross(state[1], t.state[1])) for t in tangents]
         moved = tuple(_drift_tangent(state[1], v, table[0, 0]) for v in moved)
-        begun = self._begin(state), moved, as_batched(jnp.ones_like(state[0][0]), state[0][0])
-        carry, moved, shrunk = lax.fori_loop(0, self.kicks, advance, begun)
+        start = self._begin(state), moved, as_batched(jnp.ones_like(state[0][0]), state[0][0])
+        carry, moved, shrunk = lax.fori_loop(0, self.kicks, advance, start)
         q, n = self._end(carry)
         pushed = tuple(
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.p)

@@ -92,8 +92,8 @@ class NystromStrobe(GeneralStrobe):
 
         ended = self._march_on(force, project, Moving(state, tuple(t.state for t in tangents)))
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
-        grid, one = jnp.asarray(self.grid), jnp.ones_like(jax.tree.leaves(state)[0])
-        shrunk = one * jnp.exp(-(grid[-1] - grid[0]) * jnp.sum(jnp.asarray(self.gamma))) if self.damped else one
+        grid, unit = jnp.asarray(self.grid), jnp.ones_like(jax.tree.leaves(state)[0])
+        shrunk = unit * jnp.exp(-(grid[-1] - grid[0]) * jnp.sum(jnp.asarray(self.gamma))) if self.damped else unit
         return Pushforward(ended.state, moved, shrunk)
 
     @property
@@ -183,6 +183,6 @@ def _times(factors: Any, carried: Carried) -> Carried:
 def _plus(carried: Carried, factors: Sequence[Any], other: Carried) -> Carried:
     """carried + factor · other, each component with its factor."""
     return [
-        [one + f * two for one, f, two in zip(part, factors, others, strict=True)]
+        [first + f * two for first, f, two in zip(part, factors, others, strict=True)]
         for part, others in zip(carried, other, strict=True)
     ]

@@ -100,10 +100,10 @@ def passages_within(
         march: before the trial.
         reading: at its end.
         before: side of each height at its beginning.
-        numbers: of them.
+        numbers: number of each height.
         either: whether each is passed both ways.
-        seeking: whether it is a whole step, in which passages are looked for.
-        finite: whether its end is.
+        seeking: whether the trial is a whole step, in which passages are looked for.
+        finite: whether the state at its end is.
     """
     kept = [
         jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)

@@ -97,10 +97,13 @@ class EventPassage:
         own: parameters of the lane.
         by_p: of each tangent its derivative in them, or None.
         volume: whether the volume is asked for.
+        stacked: whether tangents are a single one that has all of them stacked.
     """
 
-    def __init__(self, system: PiecewiseSmooth, own: Parameters, by_p: list[Any], *, volume: bool) -> None:
-        self.system, self.own, self.by_p, self.volume = system, own, by_p, volume
+    def __init__(
+        self, system: PiecewiseSmooth, own: Parameters, by_p: list[Any], *, volume: bool, stacked: bool
+    ) -> None:
+        self.system, self.own, self.by_p, self.volume, self.stacked = system, own, by_p, volume, stacked
         self._jumps, self._numbers = len(system.jumps), numbers_of(system)
         self._rising = traced_once(_heights_with_rates) if system.many_surfaces else _heights_with_rates
         self._changes = [k for k, begins in enumerate(system.begins) if begins or k < self._jumps]
@@ -154,7 +157,7 @@ class EventPassage:
             begin: whether they may have begun there.
         """
         system = self.system
-        change = system.begun if begin else system.on_constraints
+        change = system.constrain if begin else system.on_constraints
         state, tangents = linearise(
             lambda z, own: change(t, z, own, sides), moving.state, self.own, moving.tangents, self.by_p
         )
@@ -210,13 +213,13 @@ class EventPassage:
         """The delay with which each tangent arrives; a release changes no field, and needs none."""
         if not along:
             return []
-        system, zero = self.system, jnp.zeros_like(end.t)
+        system, met_rate = self.system, pick(arrival.sought, end.rate)
         slopes = linearise_all(
-            lambda at, own: heights_of(system, at[1], at[0], own),
-            (end.moving.state, end.t), self.own, [(dz, zero) for dz in along], by_p, stacked=system.many_surfaces,
+            lambda at, own: pick(arrival.sought, heights_of(system, at[1], at[0], own)),
+            (end.moving.state, end.t), self.own, [(dz, jnp.zeros_like(dz.y[0])) for dz in along], by_p,
+            stacked=self.stacked,
         )[1]  # fmt: skip
-        met_rate = pick(arrival.sought, end.rate)
-        return [jnp.where(arrival.passes, -pick(arrival.sought, slope) / met_rate, 0.0) for slope in slopes]
+        return [jnp.where(arrival.passes, -slope / met_rate, 0.0) for slope in slopes]
 
     def _jump(
         self,
@@ -232,18 +235,18 @@ class EventPassage:
         after, pushed, jumps = state, carried, jnp.bool_(False)
         begins = jnp.bool_(False) if any(system.begins) else None
         for k in self._changes:
-            here = arrival.at(k)
+            arrived = arrival.at(k)
             if begins is None or k < self._jumps:
-                jumps |= here
+                jumps |= arrived
             else:
-                here &= arrival.side < 0.0
-                begins |= here
+                arrived &= arrival.side < 0.0
+                begins |= arrived
             image, moved = linearise(
                 lambda at, own, k=k: system.jumped(k, at[1], at[0], own, sides),
                 (state, end.t), self.own, list(zip(carried, delays, strict=True)), by_p,
             )  # fmt: skip
-            after = _select(here, image, after)
-            pushed = [_select(here, new, old) for new, old in zip(moved, pushed, strict=True)]
+            after = _select(arrived, image, after)
+            pushed = [_select(arrived, new, old) for new, old in zip(moved, pushed, strict=True)]
         return after, pushed, jumps, begins
 
     def _crossed(self, before: Heights, after: Heights, sides: Heights, arrival: Arrival, jumps: Array) -> Heights:
@@ -263,15 +266,15 @@ class EventPassage:
         new_sides, roundings = list(sides), list(rounding)
         met_height, met_rate = pick(arrival.sought, end.height), pick(arrival.sought, end.rate)
         for k in range(len(sides)):
-            here = arrival.at(self._numbers[k])
-            roundings[k] = jnp.where(here, _BOTH_ROUNDINGS * jnp.abs(met_height), roundings[k])
+            bounces = arrival.at(self._numbers[k])
+            roundings[k] = jnp.where(bounces, _BOTH_ROUNDINGS * jnp.abs(met_height), roundings[k])
             if k < self._jumps:
                 way = (jnp.abs(met_rate) + jnp.abs(after.rate[k])) * arrival.length
                 on_wall = _BOTH_ROUNDINGS * jnp.abs(met_height) + _ON_WALL * way
                 side = side_from(after.height[k], after.rate[k], on_wall, arrival.side)
-                free = here & (sides[k] != 0.0) if self.system.holds[k] else here
+                free = bounces & (sides[k] != 0.0) if self.system.holds[k] else bounces
                 new_sides[k] = jnp.where(free, side, new_sides[k])
-                near = here & (jnp.abs(after.height[k]) <= on_wall)
+                near = bounces & (jnp.abs(after.height[k]) <= on_wall)
                 roundings[k] = jnp.where(near, roundings[k] + _BOTH_ROUNDINGS * jnp.abs(after.height[k]), roundings[k])
         return tuple(new_sides), tuple(roundings)
 
@@ -303,10 +306,10 @@ class EventPassage:
         sides, released = list(crossed), [jnp.bool_(False)] * count
         for k in range(count):
             if holds[k]:
-                here, freed = arrival.at(k), arrival.event & ~arrival.passes & (arrival.sought == k)
+                arrived, freed = arrival.at(k), arrival.event & ~arrival.passes & (arrival.sought == k)
                 settles = self._settles(k, end, heights[k], motion, arrival)
-                stays = jnp.where(here, settles, ~arrival.event | (motion.holds & on)) & ~freed
-                beside = jnp.where(on | here, motion.leaves, jnp.where(heights[k] >= 0.0, 1.0, -1.0))
+                stays = jnp.where(arrived, settles, ~arrival.event | (motion.holds & on)) & ~freed
+                beside = jnp.where(on | arrived, motion.leaves, jnp.where(heights[k] >= 0.0, 1.0, -1.0))
                 sides[k] = jnp.where(tried[k], jnp.where(stays, 0.0, beside), crossed[k])
                 released[k] = held[k] & ~stays & on
         return tuple(sides), tuple(released)
@@ -376,5 +379,5 @@ def _added(dz: PiecewisePoint, field: PiecewisePoint, dt: Array) -> PiecewisePoi
     return jax.tree.map(lambda x, f: x + f * dt, dz, field)
 
 
-def _select(condition: Array, one: Any, other: Any) -> Any:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), one, other)
+def _select(condition: Array, yes: Any, no: Any) -> Any:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), yes, no)

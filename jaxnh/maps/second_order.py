@@ -65,14 +65,10 @@ class SecondOrder:
         return np.array([float(value) for value in program.results(slots)])
 
 
+@cached_by_structure
 def second_order(system: Flow) -> SecondOrder | None:
     """Return the flow as a system of second order, None where it is none. Traced once for all flows of a structure."""
-    return _second_order(jax.tree.structure(system), tuple(np.shape(leaf) for leaf in jax.tree.leaves(system)))
-
-
-@cached_by_structure
-def _second_order(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> SecondOrder | None:
-    field = _Field(jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes]))
+    field = _Field(system)
     small = field.carried_whole and field.count <= _MOST_COMPONENTS and field.size <= 2 * _LARGEST_FORCE
     halves = field.halves() if small else None
     if halves is None:
@@ -146,10 +142,10 @@ class _Field:
             return self.rates(t, system, [jnp.zeros(())] * self.count, own)
 
         still = constants(self.rates, 0.0, self.system, self._zeros, self.own)
-        begun = constants(at_zero, 0.0, self.system, self.own)
+        start = constants(at_zero, 0.0, self.system, self.own)
         pairs: dict[int, int] = {}
         for i in range(self.count):
-            if begun[i] == 0.0:
+            if start[i] == 0.0:
                 column = [self.matrix[j][i] for j in range(self.count)]
                 if column.count(0.0) == self.count - 1 and column.count(1.0) == 1 and column[i] == 0.0:
                     pairs[i] = column.index(1.0)

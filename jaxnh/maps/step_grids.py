@@ -62,7 +62,7 @@ class SmoothGrid:
         """t at τ, both (flows, …)."""
         turns, rest = np.divmod(share, along_first(self._shares[:, -1], share.ndim))
         ends = np.arange(_CELLS + 1) * self._width
-        t = np.stack([np.interp(one, shares, ends) for one, shares in zip(rest, self._shares, strict=True)])
+        t = np.stack([np.interp(fraction, shares, ends) for fraction, shares in zip(rest, self._shares, strict=True)])
         t += turns * self._clocks.period
         settled = np.zeros(len(t), bool)
         for _ in range(_NEWTON_STEPS):

@@ -41,21 +41,21 @@ class Cyclic(NamedTuple):
     closed: np.ndarray
 
 
-def eliminate(here: Float[np.ndarray, "... n m m"], there: Float[np.ndarray, "... n m m"]) -> Cyclic:
+def eliminate(blocks: Float[np.ndarray, "... n m m"], next_blocks: Float[np.ndarray, "... n m m"]) -> Cyclic:
     """The elimination of all points but the first, of A and B."""
-    m, rounds = here.shape[-1], []
-    here, there = _points_first(here, -3), _points_first(there, -3)
-    while len(here) > 1:
-        (first, of_left), (of_right, last) = _pairs(here), _pairs(there)
+    m, rounds = blocks.shape[-1], []
+    blocks, next_blocks = _points_first(blocks, -3), _points_first(next_blocks, -3)
+    while len(blocks) > 1:
+        (first, of_left), (of_right, last) = _pairs(blocks), _pairs(next_blocks)
         turns, upper = np.linalg.qr(np.concatenate([of_right, of_left], axis=-2), mode="complete")
         rows = np.zeros_like(turns)
         rows[..., :m, :m], rows[..., m:, m:] = first, last
         rows = np.swapaxes(turns, -1, -2) @ rows
         rounds.append(Round(turns, upper[..., :m, :], rows[..., :m, :]))
         odd = 2 * len(turns)
-        here = np.concatenate([rows[..., m:, :m], here[odd:]])
-        there = np.concatenate([rows[..., m:, m:], there[odd:]])
-    return Cyclic(rounds, here[0] + there[0])
+        blocks = np.concatenate([rows[..., m:, :m], blocks[odd:]])
+        next_blocks = np.concatenate([rows[..., m:, m:], next_blocks[odd:]])
+    return Cyclic(rounds, blocks[0] + next_blocks[0])
 
 
 def solve(cycle: Cyclic, right: Float[np.ndarray, "... n m"]) -> Float[np.ndarray, "... n m"]:

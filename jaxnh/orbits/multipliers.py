@@ -70,26 +70,26 @@ def _last_turn(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarray, np
         turns = [_last_turn_of_lane(lane) for lane in blocks]
         return tuple(np.array(part).reshape(blocks[:, 0].shape) for part in zip(*turns, strict=True))  # pyright: ignore[reportReturnType]
     basis = np.broadcast_to(np.eye(blocks.shape[-1]), blocks[:, 0].shape)
-    begun, product = basis, basis
+    start, product = basis, basis
     for _ in range(_TURNS):
-        begun, product = basis, np.broadcast_to(np.eye(blocks.shape[-1]), blocks[:, 0].shape)
+        start, product = basis, np.broadcast_to(np.eye(blocks.shape[-1]), blocks[:, 0].shape)
         for i in range(blocks.shape[1]):
             basis, upper = np.linalg.qr(blocks[:, i] @ basis)
             product = upper @ product
-    return np.swapaxes(begun, -1, -2) @ basis, product
+    return np.swapaxes(start, -1, -2) @ basis, product
 
 
 def _last_turn_of_lane(blocks: Float[np.ndarray, "n d d"]) -> tuple[np.ndarray, np.ndarray]:
-    """The same of one lane."""
-    one = np.eye(blocks.shape[-1])
-    basis = begun = product = one
+    """`_last_turn` of one lane, (d, d) each, of matrices that need not be stacked."""
+    identity = np.eye(blocks.shape[-1])
+    basis = start = product = identity
     for _ in range(_TURNS):
-        begun, product = basis, one
+        start, product = basis, identity
         for block in blocks:
             factors, scales, *_ = dgeqrf(block @ basis)
             product = np.triu(factors) @ product
             basis = dorgqr(factors, scales)[0]
-    return begun.T @ basis, product
+    return start.T @ basis, product
 
 
 def _block_eigenvalues(turn: Float[np.ndarray, "d d"], upper: Float[np.ndarray, "d d"]) -> Complex[np.ndarray, " d"]:

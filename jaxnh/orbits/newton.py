@@ -144,12 +144,12 @@ def find_doubled(
     known = _Bending(bend, _times(_mean(around) - around[:, 2], at.v) / first**2, at.v.copy())
     length, settled, steps = np.full(lanes, np.inf), np.zeros(lanes, np.bool_), np.zeros(lanes, np.int32)
     for _ in range(_DOUBLED_STEPS):
-        here, bent = _Branches(*(leaf[open_] for leaf in at)), _Bending(*(leaf[open_] for leaf in known))
-        step = _doubled_step(here, bent, *on_lines(open_, here.m, _amplitude(here)))
-        moved = here.square + step[:, -1]
+        branches, bent = _Branches(*(leaf[open_] for leaf in at)), _Bending(*(leaf[open_] for leaf in known))
+        step = _doubled_step(branches, bent, *on_lines(open_, branches.m, _amplitude(branches)))
+        moved = branches.square + step[:, -1]
         at.m[open_] += size[open_] * step[:, :d]
         at.v[open_] += step[:, d:-1]
-        at.square[open_] = np.where(moved > 0.0, moved, here.square / 16)
+        at.square[open_] = np.where(moved > 0.0, moved, branches.square / 16)
         before, length[open_] = length[open_], np.max(np.abs(step), axis=1)
         steps[open_] += 1
         settled[open_] = length[open_] < _NEWTON_TOLERANCE
@@ -167,13 +167,13 @@ def _doubled_step(
     at: _Branches, known: _Bending, moved: Float[np.ndarray, "some 5 d"], matrices: Float[np.ndarray, "some 5 d d"]
 ) -> Float[np.ndarray, "some 2d+1"]:
     """Newton's step in (m, v, a²), from Q − m and DQ at the nodes of the line."""
-    (some, d), one = at.v.shape, np.eye(at.v.shape[1])
+    (count, d), identity = at.v.shape, np.eye(at.v.shape[1])
     ends, whole = 0.5 * (matrices[:, 0] + matrices[:, -1]), _mean(matrices)
-    system, missing = np.zeros((some, 2 * d + 1, 2 * d + 1)), np.zeros((some, 2 * d + 1))
-    system[:, :d, :d], missing[:, :d] = ends - one, 0.5 * (moved[:, 0] + moved[:, -1])
+    system, missing = np.zeros((count, 2 * d + 1, 2 * d + 1)), np.zeros((count, 2 * d + 1))
+    system[:, :d, :d], missing[:, :d] = ends - identity, 0.5 * (moved[:, 0] + moved[:, -1])
     system[:, :d, d:-1] = at.square[:, None, None] * known.bend
     system[:, :d, -1] = 0.5 * _times(known.bend, at.v)
-    system[:, d:-1, :d], system[:, d:-1, d:-1] = known.bend, whole + one
+    system[:, d:-1, :d], system[:, d:-1, d:-1] = known.bend, whole + identity
     system[:, d:-1, -1], missing[:, d:-1] = known.cubic, _times(whole, at.v) + at.v
     system[:, -1, d:-1], missing[:, -1] = known.normal, np.sum(known.normal * at.v, axis=1) - 1.0
     return solve(system, -missing)

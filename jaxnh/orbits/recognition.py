@@ -64,9 +64,9 @@ def equal_cycles(
     left = np.arange(len(lane))
     while len(left):
         _, first, which = np.unique(group[left], return_index=True, return_inverse=True)
-        of = left[first[which]]  # the first of those left in the group of each
-        same = shift_distance(points[left], points[of], size[left], wrap) < SAME
-        label[left[same]] = of[same]
+        leader = left[first[which]]  # the first of those left in the group of each
+        same = shift_distance(points[left], points[leader], size[left], wrap) < SAME
+        label[left[same]] = leader[same]
         left = left[~same]
     return label
 

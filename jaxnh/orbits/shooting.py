@@ -70,7 +70,7 @@ def close_orbits(
         np.array(points), np.full((nodes, n, d, d), np.nan), np.full(nodes, np.nan), np.zeros(nodes, np.bool_)
     )
     size, open_ = np.full(nodes, np.inf), np.arange(nodes)
-    begun = np.maximum(np.abs(orbits.points).max(axis=(1, 2)), _ZERO)  # an orbit at zero has no size of its own
+    size_of_orbit = np.maximum(np.abs(orbits.points).max(axis=(1, 2)), _ZERO)  # an orbit at zero has no size of its own
     for step in range(_NEWTON_STEPS + 1):
         points_now = orbits.points[open_]
         at = period(points_now.reshape(-1, d), np.repeat(values[open_], n))
@@ -78,7 +78,9 @@ def close_orbits(
         blocks = np.asarray(at.monodromy).reshape(*points_now.shape, d)
         orbits.blocks[open_], orbits.residual[open_] = blocks, np.abs(missing).max(axis=(1, 2))
         finite = np.isfinite(blocks).all(axis=(1, 2, 3)) & np.isfinite(orbits.residual[open_])
-        at_rest = size[open_] <= _NEWTON_TOLERANCE * np.maximum(np.abs(points_now).max(axis=(1, 2)), begun[open_])
+        at_rest = size[open_] <= _NEWTON_TOLERANCE * np.maximum(
+            np.abs(points_now).max(axis=(1, 2)), size_of_orbit[open_]
+        )
         orbits.converged[open_] = finite & at_rest
         left = finite & ~at_rest
         if step == _NEWTON_STEPS or not left.any():
@@ -111,10 +113,10 @@ def orbits_from_afar(
     size = np.broadcast_to(size, (nodes, d))
     open_, near = np.arange(nodes), np.zeros(nodes, bool)
     for _ in range(_FAR_STEPS):
-        here = points[open_]
-        at = period(here.reshape(-1, d), np.repeat(values[open_], n))
-        missing = wrap(np.roll(here, -1, 1) - np.asarray(at.image).reshape(here.shape))
-        blocks = np.asarray(at.monodromy).reshape(*here.shape, d)
+        active = points[open_]
+        at = period(active.reshape(-1, d), np.repeat(values[open_], n))
+        missing = wrap(np.roll(active, -1, 1) - np.asarray(at.image).reshape(active.shape))
+        blocks = np.asarray(at.monodromy).reshape(*active.shape, d)
         finite = np.isfinite(missing).all(axis=(1, 2)) & np.isfinite(blocks).all(axis=(1, 2, 3))
         open_, missing, blocks = open_[finite], missing[finite], blocks[finite]
         if not len(open_):

@@ -149,8 +149,8 @@ def attractor_words(group: xr.Dataset) -> dict[int, str]:
     kind, meaning = group["kind"].to_numpy(), meanings(group["kind"])
     periods = group["period"].to_numpy() if "period" in group else np.zeros(len(kind), int)
     descriptions = {}
-    for number, one, period in zip(group["attractor"].to_numpy().tolist(), kind.tolist(), periods, strict=True):
-        said = meaning.get(one, ("unknown", ""))[0]
+    for number, kind_number, period in zip(group["attractor"].to_numpy().tolist(), kind.tolist(), periods, strict=True):
+        said = meaning.get(kind_number, ("unknown", ""))[0]
         descriptions[number] = f"{number}, {said}" + (f", period {period}" if period > 0 else "")
     return descriptions
 
@@ -159,9 +159,11 @@ def _attractors(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray], name
     """Points of attractors in a plane, large where there are few; nothing where a coordinate is not among them."""
     if any(f"{coordinate_of(str(axis.name))}_points" not in group for axis in axes):
         return
-    for one, points in zip(named, _points(group, axes), strict=False):
+    for attractor, points in zip(named, _points(group, axes), strict=False):
         few = len(points) <= _FEW
-        drawn = ax.plot(*points.T, "o", color=one.points, markersize=3.5 if few else 0.9, markeredgewidth=0, zorder=3)
+        drawn = ax.plot(
+            *points.T, "o", color=attractor.points, markersize=3.5 if few else 0.9, markeredgewidth=0, zorder=3
+        )
         drawn[0].set_path_effects([patheffects.Stroke(linewidth=1.0, foreground="white"), patheffects.Normal()] * few)
 
 
@@ -173,8 +175,8 @@ def _points(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray]) -> Itera
         points = points[np.all(np.isfinite(points), axis=1)]
         unit = _SAME * max(float(np.abs(points).max(initial=0.0)), 1e-300)
         points = points[np.unique((points / unit).round(), axis=0, return_index=True)[1]]
-        for k, (axis, one) in enumerate(zip(axes, of_axes, strict=True)):
-            if str(one.attrs.get("long_name", "")).startswith("angle "):
+        for k, (axis, name) in enumerate(zip(axes, of_axes, strict=True)):
+            if str(name.attrs.get("long_name", "")).startswith("angle "):
                 points = _repeat_angle(points, k, float(axis.min()), float(axis.max()))
         yield points
 

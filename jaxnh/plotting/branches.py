@@ -45,9 +45,9 @@ def branches(
     every = np.unique(period).tolist()
     for k, n in enumerate(every):
         colour = CURVES[k % len(CURVES)]
-        here = np.flatnonzero(period == n)
+        rows = np.flatnonzero(period == n)
         for attracts, style in ((True, "-"), (False, (0, (4, 2)))):
-            orbits = [(b, i) for b in here for i in range(max(n, 1))]
+            orbits = [(b, i) for b in rows for i in range(max(n, 1))]
             lines = [
                 _stretches(*_insert_turns(x[b], y[b, :, i], stable[b] == 1, turns[b]), attracts) for b, i in orbits
             ]
@@ -76,9 +76,9 @@ def bifurcations(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     kind, criticality = require_variables(data, "kind", "criticality")
     x, y = data[parameter].to_numpy(), drawn.transpose("bifurcation", "iterate").to_numpy()
     for value, (words, _) in meanings(kind).items():
-        here = np.flatnonzero(kind.to_numpy() == value)
+        rows = np.flatnonzero(kind.to_numpy() == value)
         for sign, face in ((False, "#303030"), (True, "white")):
-            chosen = here[(criticality.to_numpy()[here] < 0) == sign]
+            chosen = rows[(criticality.to_numpy()[rows] < 0) == sign]
             if not len(chosen):
                 continue
             ax.plot(
@@ -169,14 +169,14 @@ def _stretches(x: np.ndarray, y: np.ndarray, stable: np.ndarray, new: np.ndarray
 
     A stretch ends at the bifurcation that has been put in, or where there is none at the next point beyond.
     """
-    here = stretch_places((stable == attracts) & ~new, new)
-    points = np.column_stack([np.where(here, x, np.nan), np.where(here, y, np.nan)])
+    places = stretch_places((stable == attracts) & ~new, new)
+    points = np.column_stack([np.where(places, x, np.nan), np.where(places, y, np.nan)])
     return np.concatenate([points, np.full((1, 2), np.nan)])
 
 
 def stretch_places(which: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Places of the points of a kind with those that their stretches end at: the next point, or a new one before."""
-    here = which.copy()
-    here[1:] |= which[:-1]
-    here[:-1] |= which[1:] & new[:-1]
-    return here
+    places = which.copy()
+    places[1:] |= which[:-1]
+    places[:-1] |= which[1:] & new[:-1]
+    return places

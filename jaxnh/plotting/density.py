@@ -114,19 +114,19 @@ def _coloured(coordinate: xr.DataArray, drawn: xr.DataArray, colours: Colouring,
     at, by = (item.broadcast_like(drawn).transpose(*drawn.dims).to_numpy().ravel() for item in (at, by))
     values = drawn.to_numpy().ravel()
     for value in np.unique(by[np.isfinite(by)]) if colours.named else ():
-        scatter_points(at[by == value], values[by == value], colours.colour(value), ax, of=drawn.size)
+        scatter_points(at[by == value], values[by == value], colours.colour(value), ax, total=drawn.size)
     if not colours.named:
         ax.scatter(at, values, s=0.6, c=colours.scale.to_rgba(by), linewidths=0, rasterized=True)
     colours.explain(ax)
 
 
-def scatter_points(x: np.ndarray, y: np.ndarray, colour: Colour, ax: Axes, *, of: int | None = None) -> None:
+def scatter_points(x: np.ndarray, y: np.ndarray, colour: Colour, ax: Axes, *, total: int | None = None) -> None:
     """Points one by one, large where they are few and a pixel each where they are many; an image in vector files.
 
     Args:
-        of: number of points of all colours, where these are some of them.
+        total: number of points of all colours, where these are some of them.
     """
-    count = of or x.size
+    count = total or x.size
     size = 2.6 if count <= _FEW else 1.6
     ax.plot(x, y, "." if count <= _MARKERS else ",", color=colour, markersize=size, markeredgewidth=0, rasterized=True)
 

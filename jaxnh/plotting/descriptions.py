@@ -60,7 +60,7 @@ def _names_over(data: xr.Dataset, *dims: str) -> list[str]:
 
 
 def _states_over(data: xr.Dataset, dim: str) -> list[str]:
-    """The same but for times."""
+    """Variables of numbers whose last dimension is this one, without the time."""
     return [name for name in _names_over(data, dim) if name != "t"]
 
 

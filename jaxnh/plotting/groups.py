@@ -151,10 +151,10 @@ def same_plane(points: xr.Dataset, trajectories: xr.Dataset) -> bool:
     return "section" not in points.attrs and same_lanes(points, trajectories) and names[0] == names[1]
 
 
-def same_lanes(one: xr.Dataset, other: xr.Dataset) -> bool:
+def same_lanes(first: xr.Dataset, second: xr.Dataset) -> bool:
     """Return whether two groups are of the same lanes."""
-    axes = axes_of(one)
-    return axes == axes_of(other) and all(one[name].equals(other[name]) for name in axes)
+    axes = axes_of(first)
+    return axes == axes_of(second) and all(first[name].equals(second[name]) for name in axes)
 
 
 def row_numbers(data: xr.Dataset) -> list[int]:
@@ -169,11 +169,11 @@ def in_row(data: xr.Dataset, number: int) -> xr.Dataset:
     """
     if not row_numbers(data):
         return data
-    here, second = data["row"] == number, str(data.attrs.get("rows", ""))
-    values = data[second].to_numpy()[here.to_numpy()] if second in data else np.zeros(0)
-    if "window" in here.dims:
-        chosen = data.isel(window=np.flatnonzero(here.to_numpy())).drop_vars("row")
+    rows, second = data["row"] == number, str(data.attrs.get("rows", ""))
+    values = data[second].to_numpy()[rows.to_numpy()] if second in data else np.zeros(0)
+    if "window" in rows.dims:
+        chosen = data.isel(window=np.flatnonzero(rows.to_numpy())).drop_vars("row")
     else:
-        numbers = [item for item in data.data_vars.values() if item.dtype.kind == "f" and here.dims[0] in item.dims]
-        chosen = data.drop_vars("row").assign({str(item.name): item.where(here) for item in numbers})
+        numbers = [item for item in data.data_vars.values() if item.dtype.kind == "f" and rows.dims[0] in item.dims]
+        chosen = data.drop_vars("row").assign({str(item.name): item.where(rows) for item in numbers})
     return chosen.assign_attrs({"row": f"{second} = {values[0]:g}"} if values.size else {})

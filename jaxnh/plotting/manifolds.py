@@ -30,9 +30,9 @@ def manifolds(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0, over: 
     ax = new_axes(ax)
     for group in over:
         draw_points(lane_of(group, lane), ax, LINE)
-    here = lane_of(data, lane)
-    x, y = (variable.transpose("branch", ..., "point").to_numpy() for variable in plane_coordinates(here))
-    (kinds,) = (variable.to_numpy() for variable in require_variables(here, "branch_kind"))
+    of_lane = lane_of(data, lane)
+    x, y = (variable.transpose("branch", ..., "point").to_numpy() for variable in plane_coordinates(of_lane))
+    (kinds,) = (variable.to_numpy() for variable in require_variables(of_lane, "branch_kind"))
     length = x.shape[-1]
     within = False
     for number, (word, colour) in enumerate(_KINDS):

@@ -25,19 +25,19 @@ def phase_responses(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) 
         ResultError: a variable is missing.
     """
     ax = new_axes(ax)
-    here = lane_of(data, lane)
-    phase = here["phase"].to_numpy()
+    of_lane = lane_of(data, lane)
+    phase = of_lane["phase"].to_numpy()
     ax.axhline(0.0, color="black", linewidth=0.6)
-    for k, curve in enumerate(variables_of(here)):
+    for k, curve in enumerate(variables_of(of_lane)):
         y, colour = curve.to_numpy(), CURVES[k % len(CURVES)]
         label = symbol_of(str(curve.name).removesuffix("_response"))
         around = np.append(phase, 2 * np.pi), np.append(y, y[:1])
         ax.plot(*around, color=colour, linewidth=0.8, label=label)
-        if (error := here.get(f"{curve.name}_error")) is not None:
+        if (error := of_lane.get(f"{curve.name}_error")) is not None:
             ax.fill_between(phase, y - error, y + error, color=colour, alpha=0.4, linewidth=0)
     ax.set_xticks(0.5 * np.pi * np.arange(5), _QUARTERS)
     label = "derivative of the phase (rad a unit)"
     ax.set(xlabel=axis_label(data["phase"]), ylabel=label, xlim=(0.0, 2 * np.pi))
-    ax.set_title(title_of(here, axes_of(data)), loc="left")
+    ax.set_title(title_of(of_lane, axes_of(data)), loc="left")
     ax.legend(loc="best")
     return ax

@@ -152,7 +152,8 @@ def _named(
     if not others:
         return {}
     names = list(choice.names) or [
-        Path(one).stem if isinstance(one, Path | str) else f"result {k}" for k, one in enumerate(results, start=1)
+        Path(result).stem if isinstance(result, Path | str) else f"result {k}"
+        for k, result in enumerate(results, start=1)
     ]
     if len(set(names)) < len(results) or len(names) > len(results):
         raise ResultError(f"{len(results)} results need as many names that differ, and these are {', '.join(names)}")
@@ -194,7 +195,9 @@ def _of_groups(groups: _Groups, choice: Choice, more: Mapping[str, _Groups]) -> 
         with _of_group(name):
             together = {label: data if k == 0 else other.get(name) for k, (label, other) in enumerate(more.items())}
             if more and kind_of(data) in KINDS and not other_axes(data):
-                there = {label: _choose_coordinates(one, choice) for label, one in together.items() if one is not None}
+                there = {
+                    label: _choose_coordinates(group, choice) for label, group in together.items() if group is not None
+                }
                 draw = _of_group(name)(partial(draw_overlay, kind_of(data), there))
                 panels.append(Panel(draw, PANELS[kind_of(data)].height, True))
                 continue
@@ -229,11 +232,11 @@ def _panels(name: str, data: xr.Dataset, groups: _Groups, choice: Choice) -> tup
     if kind in (PANELS["branches"], PANELS["windows"]) and row_numbers(data):
         panels = list[Panel]()
         for number in row_numbers(data):
-            here = {key: in_row(group, number) for key, group in groups.items()}
-            panels += _over_an_axis(name, here[name], kind, here, choice)[0]
+            row_groups = {key: in_row(group, number) for key, group in groups.items()}
+            panels += _over_an_axis(name, row_groups[name], kind, row_groups, choice)[0]
         return panels, []
-    of = _of_lanes if kind.each == "lane" else _over_an_axis
-    return of(name, data, kind, groups, choice)
+    panels_of = _of_lanes if kind.each == "lane" else _over_an_axis
+    return panels_of(name, data, kind, groups, choice)
 
 
 def _of_lanes(
@@ -291,15 +294,15 @@ def _over_an_axis(
         return [], [f"{name} is not drawn: it has {points}, of which {most}"]
     panels = []
     for place in places_of(data, others):
-        marks, here = {}, at_place(data, place)
+        marks, selection = {}, at_place(data, place)
         if kind is PANELS["density"]:
             marks["cascades"] = [at_place(other, place) for other in _of_kind("cascade", groups)]
             marks["spans"] = _of_kind("windows", groups)
             if choice.colour:
-                marks["colours"] = colouring(choice.colour, here, [at_place(g, place) for g in groups.values()])
+                marks["colours"] = colouring(choice.colour, selection, [at_place(g, place) for g in groups.values()])
         if kind is PANELS["branches"]:
             marks = {"marks": _of_kind("marks", groups), "under": _of_kind("density", groups)}
-        panels.append(Panel(partial(_draw, name, kind, here, **marks), kind.height, True))
+        panels.append(Panel(partial(_draw, name, kind, selection, **marks), kind.height, True))
     return panels, []
 
 

@@ -34,12 +34,12 @@ def surfaces(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes
         ResultError: the group does not name three variables that it has, or has no triangles.
     """
     ax = new_axes(ax)
-    here = lane_of(data, lane)
-    shown = variables_of(here)
+    of_lane = lane_of(data, lane)
+    shown = variables_of(of_lane)
     if len(shown) != 3:
         raise ResultError(f"a surface is drawn over three variables, not {len(shown)}")
     dims = "saddle", "surface"
-    corners, arc, kinds = require_variables(here, "triangles", "arc_length", "surface_kind")
+    corners, arc, kinds = require_variables(of_lane, "triangles", "arc_length", "surface_kind")
     corners, arc = corners.transpose(*dims, ...).to_numpy(), arc.transpose(*dims, "point").to_numpy()
     points = np.stack([variable.transpose(*dims, "point").to_numpy() for variable in shown], axis=-1)
     known = np.isfinite(points).all(axis=-1)
@@ -92,10 +92,10 @@ def _shaded(
 def _draw_box(ax: Axes, shown: list[xr.DataArray], low: np.ndarray, high: np.ndarray) -> None:
     """Draw the edges of the box of the points, three of them with the coordinate and its range."""
     ends = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
-    for a, one in enumerate(ends):
+    for a, end in enumerate(ends):
         for other in ends[a + 1 :]:
-            if np.sum(one != other) == 1:
-                line = _project(np.stack([one, other]))
+            if np.sum(end != other) == 1:
+                line = _project(np.stack([end, other]))
                 ax.plot(line[:, 0], line[:, 1], color=LINE, linewidth=0.5, zorder=0)
     edges = ([[-1, -1, -1], [1, -1, -1]], [[1, -1, -1], [1, 1, -1]], [[-1, -1, -1], [-1, -1, 1]])
     for i, (variable, edge) in enumerate(zip(shown, edges, strict=True)):

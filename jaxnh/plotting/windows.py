@@ -45,10 +45,10 @@ def windows(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     for place in (begin, end):
         kinds = require_variables(data, f"{place.name}_kind")[0]
         for value, (words, _) in meanings(kinds).items():
-            here = (kinds.to_numpy() == value) & np.isfinite(place.to_numpy())
-            if words in MARKS and np.any(here):
+            marked = (kinds.to_numpy() == value) & np.isfinite(place.to_numpy())
+            if words in MARKS and np.any(marked):
                 mark = {"marker": MARKS[words], "markersize": 3.5, "color": _INK, "linestyle": "none", "label": words}
-                handles += ax.plot(place.to_numpy()[here], height[here], **mark)
+                handles += ax.plot(place.to_numpy()[marked], height[marked], **mark)
     [crisis] = require_variables(data, "crisis")
     if np.any(known := np.isfinite(crisis.to_numpy())):
         mark = {"marker": "x", "markersize": 4.0, "color": _INK, "linestyle": "none", "label": "crisis"}

@@ -6,7 +6,7 @@ costs a start half a second.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
@@ -41,3 +41,22 @@ class DiffraxSteps(eqx.Module):
             throw=False,
         )
         return jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+
+
+class OneTermSolver(diffrax.AbstractSolver):
+    """A solver of one term with nothing to begin with; a subclass adds its step."""
+
+    term_structure: ClassVar = diffrax.AbstractTerm
+    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
+
+    def order(self, terms: Any) -> int | None:
+        """The order of convergence; None where a controller decides."""
+        return None
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> None:
+        """Nothing is carried from step to step."""
+        return
+
+    def func(self, terms: diffrax.AbstractTerm, t0: Any, y0: Any, args: Any) -> Any:
+        """Vector field of the term."""
+        return terms.vf(t0, y0, args)

@@ -161,12 +161,12 @@ class WrittenOutRungeKutta(ExplicitMethod):
         def joined(leaves: list[Any]) -> Any:
             return jnp.concatenate([leaf.reshape(-1, *lanes) for leaf in leaves])
 
-        begun = joined(leaves)
+        initial = joined(leaves)
         ends = np.cumsum([leaf.size // math.prod(lanes) for leaf in leaves]).tolist()
-        rows = jnp.asarray(self._tableau(), begun.dtype)
+        rows = jnp.asarray(self._tableau(), initial.dtype)
 
         def state(i: Any, rates: Any) -> list[Any]:
-            moved = begun + (rows[i] @ rates.reshape(count, -1)).reshape(begun.shape)
+            moved = initial + (rows[i] @ rates.reshape(count, -1)).reshape(initial.shape)
             parts = zip([0, *ends], ends, leaves, strict=False)
             return [moved[start:end].reshape(leaf.shape) for start, end, leaf in parts]
 
@@ -174,7 +174,7 @@ class WrittenOutRungeKutta(ExplicitMethod):
             moved = joined(field(i, state(i, rates))) * (h[None] if jnp.ndim(h) else h)
             return lax.dynamic_update_slice_in_dim(rates, moved[None], i, 0)
 
-        none = jnp.zeros((count, *begun.shape), begun.dtype)
+        none = jnp.zeros((count, *initial.shape), initial.dtype)
         return state(count, lax.fori_loop(0, count, stage, none))
 
 

@@ -17,7 +17,7 @@ def _solver_from_rows(
     return WrittenOutRungeKutta(
         a=((), *(tuple(row) for row in rows)),
         b=tuple(b),
-        b_error=tuple(one - other for one, other in zip(b, embedded, strict=True)),
+        b_error=tuple(weight - embedded_weight for weight, embedded_weight in zip(b, embedded, strict=True)),
         c=(0.0, *(float(np.sum(row)) for row in rows)),
         convergence_order=order,
         name=name,

@@ -157,7 +157,7 @@ class _Slabs:
 
 
 class _Once:
-    """All of it in one part."""
+    """The whole array as one part."""
 
     def __init__(self, item: h5py.Dataset) -> None:
         self._item, self._digest = item, ""

@@ -72,9 +72,9 @@ class Chart(eqx.Module):
         columns = [difference[..., i] for i in range(self.dimension)]
         return xp.stack([wrap_angle(x) if angle else x for x, angle in zip(columns, self.angles, strict=True)], axis=-1)
 
-    def distance(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    def distance(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Largest difference of positions between points (..., dimension): (...,)."""
-        return np.max(np.abs(self.wrap(one - other))[..., : self.positions], axis=-1, initial=0.0)
+        return np.max(np.abs(self.wrap(first - second))[..., : self.positions], axis=-1, initial=0.0)
 
     def observable(self, y: State) -> Vector:
         """One number that represents a motion: the first coordinate, or of an angle cosine and sine.

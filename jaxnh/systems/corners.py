@@ -47,9 +47,9 @@ class PiecewiseField:
     """A right-hand side as its equations, and the surfaces that its branches meet on.
 
     Attributes:
-        surfaces: they.
-        attracts: along which of them motions may slide.
-        pushes: across which of them the field jumps by what moves the surface's own coordinates.
+        surfaces: one for each corner or jump of the field.
+        attracts: along which surfaces motions may slide.
+        pushes: across which surfaces the field jumps by what moves the surface's own coordinates.
     """
 
     def __init__(self, define: Callable[..., Definition], parameters: Mapping[str, float]) -> None:
@@ -138,9 +138,9 @@ class PiecewiseField:
         if zero and step and step.equation.primitive.name == "sub":
             above, below, zero = *step.reads, False
         elif zero and step and step.equation.primitive.name == "add":
-            for one, other in (step.reads, step.reads[::-1]):
-                if (value := self._constant(other)) is not None:
-                    above, below, zero = one, KnownValue(np.float64(-value)), False
+            for first, second in (step.reads, step.reads[::-1]):
+                if (value := self._constant(second)) is not None:
+                    above, below, zero = first, KnownValue(np.float64(-value)), False
         inner = None if isinstance(above, KnownValue) else made_by.get(above)
         value = 0.0 if zero or below is None else self._constant(below)
         if inner and inner.equation.primitive.name == "neg" and value is not None:
@@ -200,7 +200,7 @@ class PiecewiseField:
                 lambda z, p=p: heights(p, tuple(z)), lambda z, side, p=p: rates(p, z, side), z
             )
             unknown, reached = ~seen[0], reached | there
-            seen = [one | (other & unknown) for one, other in zip(seen, more, strict=True)]
+            seen = [before | (other & unknown) for before, other in zip(seen, more, strict=True)]
             if np.all(seen[0] | ~reached):
                 break
         differs, attracts, pushes = seen

@@ -10,14 +10,16 @@ quasi-velocities a definition may name w itself: C may then depend on the state.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from jaxnh.systems.elimination import eliminate, is_positive_definite, is_zero, minus, times
+from jaxnh.systems.flow import Flow, Parameters, Reduction
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Accelerations,
@@ -26,6 +28,7 @@ from jaxnh.systems.jourdain import (
     constraint_functions,
     matrices,
 )
+from jaxnh.systems.motion import Motion, ReducedMotion
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import constants, slope
 
@@ -71,7 +74,7 @@ def explicit_velocities(equations: Equations, k: int, n: int) -> Explicit | None
 
 
 def dependent_velocities(equations: Equations, k: int, n: int, given: tuple[int, ...]) -> Explicit:
-    """The same with the velocities named that the constraints, linear in them, give; to be called likewise."""
+    """Velocities that a definition names, in which the constraints are linear; called as `explicit_velocities` is."""
     f = constraint_functions(equations, k)
     at = tuple(jnp.zeros(()) for _ in range(k + n + 1))
     columns = constants(lambda *at: [slope(f, at, k + j) for j in range(n)], *at)
@@ -166,10 +169,40 @@ def maggi_accelerations(equations: Equations, explicit: Explicit, q: Vector, u: 
     return Accelerations(tuple(x + jnp.zeros_like(q[0]) for x in solution), (), singular)
 
 
-def _dot(one: Sequence[Number], other: Sequence[Number]) -> Number:
+class ExplicitReduction(Reduction):
+    """Coordinates and the free velocities of a motion whose constraints give the others.
+
+    Attributes:
+        equations: of the motion, of a lane's parameters.
+        explicit: the velocities that are given.
+        left_out: whether states have no others than the free ones.
+    """
+
+    leaves_constraints = False
+
+    def __init__(
+        self, flow: Flow, equations: Callable[[Parameters], Equations], explicit: Explicit, left_out: bool
+    ) -> None:
+        super().__init__(flow)
+        self.equations, self.explicit, self.left_out = equations, explicit, left_out
+
+    def reduce(self, y: Motion) -> ReducedMotion:
+        return ReducedMotion(y.q, y.v if self.left_out else tuple(y.v[j] for j in self.explicit.free))
+
+    def rhs(self, t: ArrayLike, z: ReducedMotion, p: Parameters) -> ReducedMotion:
+        equations = self.equations(p)
+        v = all_velocities(equations, self.explicit, z.q, z.u, t)
+        return ReducedMotion(equations.rates(z.q, v, t), free_accelerations(equations, self.explicit, z.q, z.u, t))
+
+    def restore(self, t: ArrayLike, z: ReducedMotion, y: Motion, p: Parameters) -> Motion:
+        v = z.u if self.left_out else all_velocities(self.equations(p), self.explicit, z.q, z.u, t)
+        return Motion(z.q, v, y.watch)
+
+
+def _dot(first: Sequence[Number], second: Sequence[Number]) -> Number:
     """Σ one · other, nothing where one of both is known to vanish."""
     total: Number = 0.0
-    for x, y in zip(one, other, strict=True):
+    for x, y in zip(first, second, strict=True):
         product = times(x, y)
         total = product if is_zero(total) else total if is_zero(product) else total + product
     return total

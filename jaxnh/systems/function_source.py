@@ -147,7 +147,7 @@ def _is_literal(value: Any) -> bool:
     if isinstance(value, tuple | list):
         return all(map(_is_literal, value))
     if isinstance(value, dict):
-        return all(isinstance(key, str) and _is_literal(one) for key, one in value.items())
+        return all(isinstance(key, str) and _is_literal(entry) for key, entry in value.items())
     return (
         isinstance(value, bool | int | float | complex | str | None)
         and value == value

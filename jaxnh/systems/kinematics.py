@@ -73,7 +73,7 @@ class Kinematics(NamedTuple):
         return forces
 
     def _forces_by_brackets(self, momenta: Sequence[Number], at: Vector, k: int) -> list[Number]:
-        """The same by brackets at the state: P [q̇, X_j] with the covector P of the momenta, P A = p."""
+        """Hamel's terms by brackets at the state: P [q̇, X_j] with the covector P of the momenta, P A = p."""
         covector = _covector(self.columns(at, k), list(momenta))
         u, t = at[k:-1], at[-1]
         rates = self.rates(at[:k], u, t)
@@ -100,6 +100,6 @@ def _covector(columns: list[Vector], momenta: list[Number]) -> list[Number]:
     n, k = len(columns), len(columns[0])
     if n == k:
         return eliminate([list(column) for column in columns], [momenta])[0][0]
-    gram = [[sum(x * y for x, y in zip(one, other, strict=True)) for other in columns] for one in columns]
+    gram = [[sum(x * y for x, y in zip(first, second, strict=True)) for second in columns] for first in columns]
     (shares,), _ = eliminate(gram, [momenta], n)
     return [sum(share * column[a] for share, column in zip(shares, columns, strict=True)) for a in range(k)]

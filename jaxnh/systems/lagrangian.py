@@ -8,33 +8,31 @@ the mass.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.definition import DefinedFlow, Definition, marked
 from jaxnh.systems.explicit import (
     Explicit,
+    ExplicitReduction,
     all_velocities,
     dependent_velocities,
     explicit_velocities,
-    free_accelerations,
     maggi_accelerations,
 )
 from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, pairs, status
 from jaxnh.systems.impulses import LARGEST_DRIFT, project_velocities
 from jaxnh.systems.jourdain import Equations, accelerations, constraint_functions, constraint_slopes, matrices
-from jaxnh.systems.motion import Motion, MotionChart, ReducedMotion
+from jaxnh.systems.motion import Motion, MotionChart
 from jaxnh.systems.quasi_velocities import QuasiVelocities, equations_of, quasi_velocities_of
 from jaxnh.systems.state import Number, Vector
-from jaxnh.systems.tracing import Program, cached_by_structure
+from jaxnh.systems.tracing import cached_by_structure, listed_once
 from jaxnh.systems.user_text import states_of
 
 _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
@@ -42,32 +40,6 @@ _NEWTON_STEPS = 2  # to a level that a step has left by its error: the first squ
 _LARGEST_FACTOR = 1e-2  # less one: a step's error is smaller, but for a body that is all but at rest
 _APPROACHES = 12  # projections from a random state to one on f = 0
 _NEARLY_LOST = 0.01  # of the smallest singular value of df/dv on a motion: steps do not follow what turns there
-
-
-class ExplicitReduction(Reduction):
-    """Coordinates and the free velocities of a motion whose constraints give the others.
-
-    Attributes:
-        explicit: the velocities that are given.
-        left_out: whether states have no others than the free ones.
-    """
-
-    leaves_constraints = False
-
-    def __init__(self, flow: Lagrangian, explicit: Explicit, left_out: bool) -> None:
-        self.flow, self.explicit, self.left_out = flow, explicit, left_out
-
-    def reduce(self, y: Motion) -> ReducedMotion:
-        return ReducedMotion(y.q, y.v if self.left_out else tuple(y.v[j] for j in self.explicit.free))
-
-    def rhs(self, t: ArrayLike, z: ReducedMotion, p: Parameters) -> ReducedMotion:
-        equations = self.flow.equations(p)
-        v = all_velocities(equations, self.explicit, z.q, z.u, t)
-        return ReducedMotion(equations.rates(z.q, v, t), free_accelerations(equations, self.explicit, z.q, z.u, t))
-
-    def restore(self, t: ArrayLike, z: ReducedMotion, y: Motion, p: Parameters) -> Motion:
-        v = z.u if self.left_out else all_velocities(self.flow.equations(p), self.explicit, z.q, z.u, t)
-        return Motion(z.q, v, y.watch)
 
 
 class Lagrangian(DefinedFlow):
@@ -129,15 +101,10 @@ class Lagrangian(DefinedFlow):
     def rhs(self, t: ArrayLike, y: Motion, p: Parameters) -> Motion:
         """Time derivative of a state; a singular matrix makes the rate of the reason not a number.
 
-        In a program it is a list of equations that was made once: of a rolling body 450 in place of 3,300, which take
-        a second to trace, and which a small job would trace ten times (`sweeps.timing.startup`, rattleback).
+        Its equations are listed once: of a rolling body 450 in place of 3,300, which take a second to trace, and which
+        a small job would trace ten times (`sweeps.timing.startup`, rattleback).
         """
-        arguments = self, t, y, dict(p)
-        leaves, structure = jax.tree.flatten(arguments)
-        if not any(isinstance(leaf, Tracer) for leaf in leaves) or not all(map(_is_double, leaves)):
-            return self.derived_rates(t, y, p)
-        leaves = [jnp.asarray(leaf, float) for leaf in leaves]
-        return _rates(structure, ((),) * len(leaves))(*jax.tree.unflatten(structure, leaves))
+        return _rates(self, t, y, dict(p))
 
     def derived_rates(self, t: ArrayLike, y: Motion, p: Parameters) -> Motion:
         """`rhs`, derived from T, Q and f where it is called."""
@@ -296,16 +263,16 @@ class Lagrangian(DefinedFlow):
 
     @property
     def _given_velocities(self) -> Explicit | None:
-        return _explicit(jax.tree.structure(self), tuple(np.shape(leaf) for leaf in jax.tree.leaves(self)))
+        return _explicit(self)
 
     @property
     def reduction(self) -> Reduction:
         """Coordinates and the free velocities, where the others are given at every state."""
         explicit, dependent = self.explicit, self._dependent
         if explicit is not None:
-            return ExplicitReduction(self, explicit, left_out=False)
+            return ExplicitReduction(self, self.equations, explicit, left_out=False)
         if dependent is not None and dependent.definite and dependent.inverse is not None:
-            return ExplicitReduction(self, dependent, left_out=True)
+            return ExplicitReduction(self, self.equations, dependent, left_out=True)
         return Reduction(self)
 
     def nearest(self, y: Motion, p: Parameters, t: ArrayLike = 0.0) -> Motion:
@@ -352,19 +319,13 @@ class Lagrangian(DefinedFlow):
         }
 
 
-def _is_double(leaf: Any) -> bool:
-    return not jnp.ndim(leaf) and jnp.result_type(leaf) == jnp.float64
+@listed_once
+def _rates(system: Lagrangian, t: ArrayLike, y: Motion, p: Parameters) -> Motion:
+    return system.derived_rates(t, y, p)
 
 
 @cached_by_structure
-def _rates(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Program:
-    """List the equations of `Lagrangian.rhs` once for a structure of its arguments."""
-    arguments = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
-    return Program(lambda system, t, y, p: system.derived_rates(t, y, p), *arguments)
-
-
-@cached_by_structure
-def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit | None:
+def _explicit(system: Lagrangian) -> Explicit | None:
     """Compute the velocities once for a structure: parameters are no numbers then, and decide nothing."""
     velocities: list[Explicit | None] = []
 
@@ -377,7 +338,6 @@ def _explicit(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Explicit |
         velocities.append(solved)
         return 0.0
 
-    system = jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes])
     jax.eval_shape(look, system, dict.fromkeys(system.lane_parameters, 0.0))
     return velocities[0]
 

@@ -268,16 +268,16 @@ class IsokineticParticle(Flow):
     def divergence_of(self, rate: Callable[[State], State], y: State) -> Array:
         """Divergence of a rate that is this flow's, over (x1, y1, θ)."""
         (x1, y1), (n1, n2) = y
-        one = jnp.ones_like(x1)
+        unit = jnp.ones_like(x1)
 
         def turning(angle: Array) -> Array:
             n = n1 - angle * n2, n2 + angle * n1
             turn = rate(((x1, y1), n))[1]
             return n[0] * turn[1] - n[1] * turn[0]
 
-        along = jax.jvp(lambda x: rate(((x, y1), (n1, n2)))[0][0], (x1,), (one,))[1]
-        across = jax.jvp(lambda x: rate(((x1, x), (n1, n2)))[0][1], (y1,), (one,))[1]
-        return along + across + jax.jvp(turning, (jnp.zeros_like(x1),), (one,))[1]
+        along = jax.jvp(lambda x: rate(((x, y1), (n1, n2)))[0][0], (x1,), (unit,))[1]
+        across = jax.jvp(lambda x: rate(((x1, x), (n1, n2)))[0][1], (y1,), (unit,))[1]
+        return along + across + jax.jvp(turning, (jnp.zeros_like(x1),), (unit,))[1]
 
     @property
     def contraction(self) -> str:

@@ -127,7 +127,7 @@ class PiecewiseSmooth(FirstOrder):
         after = self.definition(p)["jumps"][number]["then"](tuple(y.y), t)
         return y._replace(y=tuple(jnp.asarray(x, jnp.float64) for x in after))
 
-    def begun(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+    def constrain(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """The state after the constraints that hold on these sides have begun."""
         return y
 
@@ -275,5 +275,5 @@ def _forgets(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: i
     return bool(np.linalg.matrix_rank(np.asarray(change)) < dimension)
 
 
-def _select(condition: Number, one: HeldMotion, other: HeldMotion) -> HeldMotion:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), one, other)
+def _select(condition: Number, yes: HeldMotion, no: HeldMotion) -> HeldMotion:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), yes, no)

@@ -240,18 +240,17 @@ def describe_violation(flow: Flow, reversals: Reversal, number: int, p: Paramete
     probes = jax.tree.map(lambda leaf: np.asarray(leaf)[number], of_each)
     worst = np.where(np.isfinite(probes.gap + probes.strayed), probes.gap + probes.strayed, -1.0)
     at = int(np.argmax(worst))
-    here = jax.tree.map(lambda leaf: leaf[at], probes)
+    state = jax.tree.map(lambda leaf: leaf[at], probes)
     if not worst[at] >= 0.0:
         return "the field is finite at none of some random states"
     names = component_names(flow)
-    place = ", ".join(f"{name} = {x:.4g}" for name, x in zip(names, here.state, strict=True))
-    time = "" if flow.autonomous else f", t = {here.t:.4g}"
-    if here.gap <= EXACT * max(np.abs(here.image_of_rate).max(), 1e-300):
-        return (
-            f"at {place}{time} the image of the image, or the constraint at the image, is another by {here.strayed:.3g}"
-        )
-    k = int(np.argmax(np.abs(here.image_of_rate + here.rate_of_image)))
+    place = ", ".join(f"{name} = {x:.4g}" for name, x in zip(names, state.state, strict=True))
+    time = "" if flow.autonomous else f", t = {state.t:.4g}"
+    if state.gap <= EXACT * max(np.abs(state.image_of_rate).max(), 1e-300):
+        strayed = f"{state.strayed:.3g}"
+        return f"at {place}{time} the image of the image, or the constraint at the image, is another by {strayed}"
+    k = int(np.argmax(np.abs(state.image_of_rate + state.rate_of_image)))
     return (
-        f"at {place}{time} the image of the rate of {names[k]} is {here.image_of_rate[k]:.9g} and the rate at the "
-        f"image {here.rate_of_image[k]:.9g}; one should be the opposite of the other"
+        f"at {place}{time} the image of the rate of {names[k]} is {state.image_of_rate[k]:.9g} and the rate at the "
+        f"image {state.rate_of_image[k]:.9g}; one should be the opposite of the other"
     )

@@ -122,10 +122,10 @@ def is_on(held: HeldMotion, y: Vector, unit: Number) -> Array:
     return kept
 
 
-def without_rounding(one: Number, other: Number) -> Number:
+def without_rounding(first: Number, second: Number) -> Number:
     """The sum of two numbers, zero where it is what their rounding leaves, with the derivatives of the sum."""
-    total = one + other
-    rounding = jnp.abs(total) <= _CANCELLED * (jnp.abs(one) + jnp.abs(other))
+    total = first + second
+    rounding = jnp.abs(total) <= _CANCELLED * (jnp.abs(first) + jnp.abs(second))
     return total - lax.stop_gradient(jnp.where(rounding, total, 0.0))
 
 

@@ -149,20 +149,20 @@ class _Evaluation:
             result[index] = functools.reduce(join, moved[index])
         return result
 
-    def _product(self, equation: Any, one: Numbers, other: Numbers) -> Numbers:
+    def _product(self, equation: Any, first: Numbers, second: Numbers) -> Numbers:
         """Sums of products, in which a constant zero leaves no trace."""
         (of_one, of_other), batches = equation.params["dimension_numbers"]
         typed = functools.partial(lax.convert_element_type, new_dtype=equation.outvars[0].aval.dtype)
         if batches[0]:
             raise _UnknownEquationError
-        self._count(one.size * other.size)
+        self._count(first.size * second.size)
         rows, columns = (
             np.moveaxis(part, axes, range(len(axes))).reshape(math.prod(part.shape[axis] for axis in axes), -1)
-            for part, axes in ((one, of_one), (other, of_other))
+            for part, axes in ((first, of_one), (second, of_other))
         )
         kept = [
             [n for axis, n in enumerate(part.shape) if axis not in axes]
-            for part, axes in ((one, of_one), (other, of_other))
+            for part, axes in ((first, of_one), (second, of_other))
         ]
         result = np.empty((rows.shape[1], columns.shape[1]), object)
         for i, j in np.ndindex(result.shape):

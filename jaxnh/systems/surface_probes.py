@@ -43,8 +43,8 @@ def probe_surfaces(
         """The side of a surface that is gone to; the field of that side and of the other, (d, probes, surfaces)."""
         own = np.where(above(z)[0] >= 0.0, 1.0, -1.0)
         other = own * np.where(each[:, None] == each, -1.0, 1.0)[:, None, :]
-        one, two = (np.stack(np.broadcast_arrays(*rates(tuple(z), tuple(side)))) for side in (own, other))
-        return own[each, :, each].T, one, two
+        first, second = (np.stack(np.broadcast_arrays(*rates(tuple(z), tuple(side)))) for side in (own, other))
+        return own[each, :, each].T, first, second
 
     below, on, upon = (branches(z + shift * normal) for shift in (-1.0, 0.0, 1.0))
     differs = _differ(*below[1:]) | _differ(*upon[1:])
@@ -59,8 +59,8 @@ def probe_surfaces(
     )
 
 
-def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _differ(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return whether two fields (components, ...) differ, or none of them is finite."""
-    finite = np.isfinite(one) & np.isfinite(other)
-    size = np.max(np.where(finite, np.maximum(np.abs(one), np.abs(other)), 0.0), axis=0)
-    return np.any(np.where(finite, np.abs(one - other), np.inf) > _ALIKE * size, axis=0)
+    finite = np.isfinite(first) & np.isfinite(second)
+    size = np.max(np.where(finite, np.maximum(np.abs(first), np.abs(second)), 0.0), axis=0)
+    return np.any(np.where(finite, np.abs(first - second), np.inf) > _ALIKE * size, axis=0)

@@ -175,14 +175,14 @@ class SwitchedMechanics(PiecewiseSmooth):
     ) -> PiecewisePoint:
         """The state after a jump, or where a constraint has begun."""
         if number >= len(self.jumps):
-            return self.begun(t, y, p, (*sides[:number], jnp.ones_like(sides[number]), *sides[number + 1 :]))
+            return self.constrain(t, y, p, (*sides[:number], jnp.ones_like(sides[number]), *sides[number + 1 :]))
         jump, (q, v) = self.definition(p)["jumps"][number], self._split(t, y.y, p)
         if "then" in jump:
             return self._after_impulse(t, y, p, *jump["then"](q, v, t))
         wall, r, equations = jump["when"], jump["restitution"], self._equations(p, sides)
         return self._after_impulse(t, y, p, q, reflected_velocities(equations, wall, r, q, v, t, self._active(sides)))
 
-    def begun(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+    def constrain(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """The state after the constraints that hold on these sides have begun."""
         if not self.switched:
             return self.on_constraints(t, y, p, sides)

@@ -45,7 +45,7 @@ class Program:
     """The equations of a function, in order, equal ones once.
 
     Attributes:
-        steps: they.
+        steps: the equations.
         inputs: a slot for each leaf of its arguments.
         outputs: a slot, or a number, for each leaf of what it returns.
         structure: of what it returns.
@@ -236,8 +236,8 @@ def constants(function: Callable[..., Any], *arguments: Any) -> Any:
 
 def slope(function: Callable[..., Any], at: Sequence[Any], i: int) -> Any:
     """∂function/∂at[i] at components `at`, the others being constants of the program."""
-    one = jnp.ones_like(at[i])
-    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (one,))[1]
+    unit = jnp.ones_like(at[i])
+    return jax.jvp(lambda x: function(*at[:i], x, *at[i + 1 :]), (at[i],), (unit,))[1]
 
 
 def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], Any]) -> Any:
@@ -255,31 +255,57 @@ def jacobian_trace(rate: Callable[[Any], Any], y: Any, counted: Callable[[Any], 
     return sum(slopes[1:], slopes[0])
 
 
-def cached_by_structure(
-    look: Callable[[Any, tuple[tuple[int, ...], ...]], Answer],
-) -> Callable[[Any, tuple[tuple[int, ...], ...]], Answer]:
-    """Cache the result of tracing functions for each structure of a pytree and shapes of its leaves.
+def cached_by_structure(look: Callable[[Any], Answer]) -> Callable[[Any], Answer]:
+    """Cache what tracing tells of a pytree, whose numbers are zeros then, for each structure and shapes of its leaves.
 
     What is traced while a program for some devices is made is of that program's devices, unless it is traced apart.
     """
 
     @functools.lru_cache(maxsize=256)
-    @functools.wraps(look)
     def cached(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> Answer:
         with jax.sharding.use_abstract_mesh(_NO_DEVICES):
-            return look(structure, shapes)
+            return look(jax.tree.unflatten(structure, [np.zeros(shape) for shape in shapes]))
 
-    return cached
+    @functools.wraps(look)
+    def answer(tree: Any) -> Answer:
+        return cached(jax.tree.structure(tree), tuple(np.shape(leaf) for leaf in jax.tree.leaves(tree)))
+
+    return answer
+
+
+def listed_once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of pytrees of numbers whose equations are listed once for each structure of its arguments.
+
+    In a program its calls are these equations, equal ones once; elsewhere it is called as it is written.
+    """
+
+    @cached_by_structure
+    def listed(arguments: Sequence[Any]) -> Program:
+        return Program(function, *arguments)
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        leaves, structure = jax.tree.flatten(arguments)
+        if not any(isinstance(leaf, Tracer) for leaf in leaves) or not all(map(_is_double, leaves)):
+            return function(*arguments)
+        arguments = jax.tree.unflatten(structure, [jnp.asarray(leaf, float) for leaf in leaves])
+        return listed(arguments)(*arguments)
+
+    return call
+
+
+def _is_double(leaf: Any) -> bool:
+    return not jnp.ndim(leaf) and jnp.result_type(leaf) == jnp.float64
 
 
 def _alone(equation: Any, program: Any) -> Callable[..., Sequence[Any]]:
     """A function of what an equation of a program reads, literals among it."""
     reads = [core.Var(atom.aval) for atom in equation.invars]
-    one = program.replace(
+    single = program.replace(
         constvars=(),
         invars=reads,
         outvars=equation.outvars,
         eqns=[equation.replace(invars=reads)],
         effects=equation.effects,
     )
-    return core.jaxpr_as_fun(core.ClosedJaxpr(one, ()))
+    return core.jaxpr_as_fun(core.ClosedJaxpr(single, ()))

@@ -38,8 +38,8 @@ def explain_error(error: Exception, text: str, path: str) -> tuple[int | None, s
     last = frames[-1]
     if not isinstance(error, _NOT_KNOWN) and not isinstance(error.__cause__, _NOT_KNOWN):
         return last.lineno, _plain(error)
-    here = last.lineno or 1, last.colno or 0, last.end_lineno or last.lineno or 1, last.end_colno or 0
-    advice = _advice(ast.parse(text), text, here, _names_at(error.__traceback__, path))
+    place = last.lineno or 1, last.colno or 0, last.end_lineno or last.lineno or 1, last.end_colno or 0
+    advice = _advice(ast.parse(text), text, place, _names_at(error.__traceback__, path))
     return (
         last.lineno,
         advice or f"this needs a number that is known before the run: use functions of jax.numpy ({_IMPORT})",
@@ -61,22 +61,22 @@ def _names_at(trace: TracebackType | None, path: str) -> Mapping[str, Any]:
     return names
 
 
-def _advice(tree: ast.Module, text: str, here: tuple[int, int, int, int], names: Mapping[str, Any]) -> str:
+def _advice(tree: ast.Module, text: str, place: tuple[int, int, int, int], names: Mapping[str, Any]) -> str:
     """Advise what to write instead of the code at (line, column, last line, last column); "" without advice."""
-    inside = [node for node in ast.walk(tree) if _holds(node, here)]  # outermost first
+    inside = [node for node in ast.walk(tree) if _holds(node, place)]  # outermost first
     for node in reversed(inside):
-        for words in (_advice_on_call(node, names), _advice_on_choice(node, text, here)):
+        for words in (_advice_on_call(node, names), _advice_on_choice(node, text, place)):
             if words:
                 return words
     return ""
 
 
-def _holds(node: ast.AST, here: tuple[int, int, int, int]) -> bool:
+def _holds(node: ast.AST, place: tuple[int, int, int, int]) -> bool:
     """Return whether an expression or statement has a place in it."""
     if not isinstance(node, ast.expr | ast.stmt) or node.end_lineno is None or node.end_col_offset is None:
         return False
     begin, end = (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)
-    return begin <= here[:2] and here[2:] <= end
+    return begin <= place[:2] and place[2:] <= end
 
 
 def _advice_on_call(node: ast.AST, names: Mapping[str, Any]) -> str:
@@ -116,12 +116,12 @@ def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
     return None
 
 
-def _advice_on_choice(node: ast.AST, text: str, here: tuple[int, int, int, int]) -> str:
+def _advice_on_choice(node: ast.AST, text: str, place: tuple[int, int, int, int]) -> str:
     """Advise on a choice between numbers, and on an array that is changed in place."""
     condition = "(condition, a, b)"
-    for statement, one in _conditions(node):
-        if _holds(one, here):
-            shown = ast.get_source_segment(text, one) or ""
+    for statement, test in _conditions(node):
+        if _holds(test, place):
+            shown = ast.get_source_segment(text, test) or ""
             if shown and len(shown) <= _LONGEST_CODE and "\n" not in shown:
                 condition = f"({shown}, a, b)"
             return f"{statement} cannot decide by {_CHANGING}: use jnp.where{condition} ({_IMPORT})"

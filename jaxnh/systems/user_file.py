@@ -182,10 +182,12 @@ class UserFile:
                 raise self._fault(line, f"{name} must be a number, not the text {length!r}")
             if not isinstance(length, Tracer) and not (math.isfinite(float(length)) and float(length) > 0):
                 raise self._fault(line, f"{name} must be a positive number, not {length}")
-        made = {key: components_of(one) if key in _OF_COMPONENTS and one else one for key, one in definition.items()}
+        made = {
+            key: components_of(value) if key in _OF_COMPONENTS and value else value for key, value in definition.items()
+        }
         if "rhs" in made:
             made["rhs"] = by_numbers(made["rhs"])
-        return {key: pointwise(one) if key in FUNCTIONS and one else one for key, one in made.items()}
+        return {key: pointwise(value) if key in FUNCTIONS and value else value for key, value in made.items()}
 
     def period(self, parameters: Mapping[str, ArrayLike]) -> float:
         """Strobe period, or the unit of time, with these parameters."""
@@ -268,16 +270,16 @@ class UserFile:
         both = jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)), compiler_options=COMPILED_FOR_ONE_CALL)
         with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
             now, later = self._guarded(lambda: both(t, states))
-        for name, one, other in zip(functions, map(np.asarray, now), map(np.asarray, later), strict=True):
-            finite = np.isfinite(one) & np.isfinite(other)
-            gap = np.abs(np.where(finite, one - other, 0.0))
+        for name, first, second in zip(functions, map(np.asarray, now), map(np.asarray, later), strict=True):
+            finite = np.isfinite(first) & np.isfinite(second)
+            gap = np.abs(np.where(finite, first - second, 0.0))
             worst = np.unravel_index(np.argmax(gap), gap.shape)
-            if gap[worst] > _ALIKE * np.max(np.abs(one), initial=1e-300, where=finite):
+            if gap[worst] > _ALIKE * np.max(np.abs(first), initial=1e-300, where=finite):
                 vector = name in _OF_COMPONENTS or name.endswith(".then")
                 what = f"number {worst[0] + 1} of {name}" if vector else name
                 message = (
-                    f"{period:.9g} is no period of {name}: at one state {what} is {one[worst]:.9g} at t = "
-                    f"{t[worst[1]]:.9g} and {other[worst]:.9g} a period later; give the period of what depends on t"
+                    f"{period:.9g} is no period of {name}: at one state {what} is {first[worst]:.9g} at t = "
+                    f"{t[worst[1]]:.9g} and {second[worst]:.9g} a period later; give the period of what depends on t"
                 )
                 raise self._fault(self._line_of(name), message)
         self._periodic.add(tuple(parameters.values()))

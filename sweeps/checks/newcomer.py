@@ -90,11 +90,11 @@ class Example(NamedTuple):
     python: bool = False
 
 
-def examples(root: Path = ROOT) -> list[Example]:
+def examples() -> list[Example]:
     """All of them, in the order of their documents."""
-    found = list(_of_readme((root / "README.md").read_text()))
-    for page in sorted((root / "docs" / "howto").glob("*.md")):
-        found += _of_page(page.relative_to(root).as_posix(), page.read_text())
+    found = list(_of_readme((ROOT / "README.md").read_text()))
+    for page in sorted((ROOT / "docs" / "howto").glob("*.md")):
+        found += _of_page(page.relative_to(ROOT).as_posix(), page.read_text())
     for name, flow in FLOWS.items():
         files = {"own.py": flow.system, "own.yaml": flow.config, "check.py": check_of(flow)}
         found.append(Example(f"a stranger's flow: {name}", ("jaxnh sweep own.yaml", "python check.py"), files))

@@ -9,19 +9,12 @@ from scipy.optimize import brentq
 import jaxnh
 from jaxnh.analyses.trajectories.correlation import correlation_dimension
 from jaxnh.exceptions import InputError
+from tests.flows.known_maps import henon
 
 LEAST = 0.95 - 3 * np.sqrt(0.95 * 0.05 / 40)
 """Of 40 intervals of 95 %, the share that covers at least, but for one case in a thousand."""
 
 SHARE, LEFT, RIGHT = 0.4, 0.35, 0.2
-
-
-def henon(a=1.4, b=0.3):
-    def image(s):
-        x, y = s
-        return 1.0 - a * x**2 + y, b * x
-
-    return {"map": image, "coordinates": ("x", "y")}
 
 
 def turns(lanes, points, rates):

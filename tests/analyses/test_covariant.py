@@ -10,6 +10,7 @@ import jaxnh
 from jaxnh.analyses.covariant.hyperbolicity import BOUNDED, SPLITS, TANGENT, judge_splits
 from jaxnh.analyses.covariant.vectors import covariant_vectors, smallest_angles
 from tests.flows import lorenz
+from tests.flows.known_maps import henon
 
 pytestmark = pytest.mark.usefixtures("one_core")
 GOLDEN = np.log((3.0 + np.sqrt(5.0)) / 2.0)
@@ -135,14 +136,6 @@ def test_the_cat_suspended_in_a_flow():
     assert data["exponents"].to_numpy() == pytest.approx([GOLDEN, -GOLDEN], abs=1e-9)
     assert float(data["angle_min"][0]) == pytest.approx(np.pi / 2, abs=1e-6)
     assert words(data, "kind") == "hyperbolic"
-
-
-def henon(a=1.4, b=0.3):
-    def image(s):
-        x, y = s
-        return 1.0 - a * x**2 + y, b * x
-
-    return {"map": image, "coordinates": ("x", "y")}
 
 
 def test_the_cat_map_is_hyperbolic():

@@ -8,6 +8,7 @@ import pytest
 
 import jaxnh
 from tests.flows import lorenz
+from tests.flows.known_maps import henon
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
@@ -29,14 +30,6 @@ def baker(share=SHARE, left=LEFT, right=RIGHT):
             jnp.where(first, x / share, (1.0 - x) / (1.0 - share)),
             jnp.where(first, left * y, 1.0 - right * y),
         )
-
-    return {"map": image, "coordinates": ("x", "y")}
-
-
-def henon(a=1.4, b=0.3):
-    def image(s):
-        x, y = s
-        return 1.0 - a * x**2 + y, b * x
 
     return {"map": image, "coordinates": ("x", "y")}
 

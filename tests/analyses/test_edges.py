@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 
 import jaxnh
 from jaxnh.exceptions import InputError
+from tests.flows.known_maps import henon
 from tests.helpers import heyoka_newton
 
 pytestmark = pytest.mark.usefixtures("one_core")
@@ -22,14 +23,6 @@ def two_wells(a=0.4):
         return ((1.0 + a) * y[0] - y[0] ** 3,)
 
     return {"map": image, "coordinates": ("x",)}
-
-
-def henon(a=1.4, b=0.3):
-    def image(s):
-        x, y = s
-        return 1.0 - a * x**2 + y, b * x
-
-    return {"map": image, "coordinates": ("x", "y")}
 
 
 def driven_wells(drive=0.1):

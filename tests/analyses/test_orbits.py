@@ -20,6 +20,7 @@ from jaxnh.exceptions import InputError
 from jaxnh.orbits.recognition import equal_cycles, primitive_period
 from jaxnh.solvers import tsit5
 from jaxnh.systems.discrete_map import discrete_map
+from tests.flows.known_maps import henon
 from tests.flows.lorenz import lorenz
 from tests.helpers.batches import batch_of
 from tests.helpers.kept_programs import lanes_with_kept_programs
@@ -37,14 +38,6 @@ def logistic(r=4.0):
         return r * y[0] * (1.0 - y[0])
 
     return {"map": image, "coordinates": "x"}
-
-
-def henon(a=1.4, b=0.3):
-    def image(s):
-        x, y = s
-        return 1.0 - a * x**2 + y, b * x
-
-    return {"map": image, "coordinates": ("x", "y")}
 
 
 def cat(shear=1.0):

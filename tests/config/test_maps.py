@@ -8,7 +8,7 @@ import pytest
 import jaxnh
 from jaxnh.exceptions import ConfigError, InputError
 from jaxnh.systems.discrete_map import DiscreteMap
-from tests.flows.known_maps import HENON
+from tests.flows.known_maps import HENON, henon
 from tests.helpers.commands import run_here
 from tests.helpers.paths import ROOT
 
@@ -24,14 +24,6 @@ def write(folder, config=CONFIG, text=HENON):
     (folder / "own.py").write_text(text)
     (folder / "own.yaml").write_text(config)
     return folder / "own.yaml"
-
-
-def henon(a=1.4, b=0.3):
-    def image(s):
-        x, y = s
-        return 1.0 - a * x**2 + y, b * x
-
-    return {"map": image, "coordinates": ("x", "y")}
 
 
 def test_a_map_is_a_system(tmp_path):

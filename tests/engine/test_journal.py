@@ -23,6 +23,7 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage.calls import CallJournal
 from tests.flows.particle import SYSTEMS
+from tests.helpers.comparisons import same_leaves
 from tests.helpers.jobs import CONFIG, GO_ON, Job, content
 from tests.helpers.paths import ROOT
 from tests.helpers.storage_jobs import job
@@ -127,11 +128,6 @@ STATE = (np.full(20, 0.1), np.full(20, 0.1)), (np.full(20, 0.1), np.full(20, np.
 CHAOTIC = {"b": np.linspace(5.2, 5.45, 20)}
 
 
-def same(one, other):
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 @pytest.mark.parametrize(
     ("system", "solver", "steps", "compensated"),
     [
@@ -148,7 +144,7 @@ def test_many_calls_give_the_bits_of_one(system, solver, steps, compensated):
     one = lanes.accounts.lane_periods
     with mock.patch.object(engine, "_LONGEST", 7 * 8):
         cut = lanes.iterate(strobe, 150, (STATE, CHAOTIC))
-    same(at_once, cut)
+    same_leaves(at_once, cut)
     assert lanes.accounts.lane_periods == 2 * one == 2 * 20 * 150
     assert np.ptp(at_once[0][0]) > 0.1
     assert len(lanes.programs) == 1
@@ -179,7 +175,7 @@ def test_calls_that_take_no_time_are_not_kept(tmp_path, monkeypatch):
         mock.patch.object(CallJournal, "add", autospec=True) as add,
         with_journal(lanes, CallJournal(tmp_path, job(), job().cutting.pieces())) as keeping,
     ):
-        same(keeping(_grown, (np.float64(1.0),), (x, pair)), lanes(_grown, (np.float64(1.0),), (x, pair)))
+        same_leaves(keeping(_grown, (np.float64(1.0),), (x, pair)), lanes(_grown, (np.float64(1.0),), (x, pair)))
     assert not add.called
 
 
@@ -200,7 +196,7 @@ def test_call_stopped_between_tiles(tmp_path):
         assert kept.seconds > 0
         found = keeping(_grown, (np.float64(1.0),), (x, pair), periods=2)
         assert [call.args[1].first for call in add.call_args_list] == list(range(16, 40, 4))
-        same(found, expected)
+        same_leaves(found, expected)
         assert jax.tree.structure(found) == jax.tree.structure(expected)
         other = keeping(_grown, (np.float64(2.0),), (x, pair), periods=2)  # another call: nothing of it is there
     np.testing.assert_array_equal(other["sum"], expected["sum"] + 1)

@@ -23,6 +23,7 @@ from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.first_order import first_order
 from tests.flows.particle import SYSTEMS
+from tests.helpers.comparisons import same_leaves
 from tests.helpers.paths import ROOT
 
 MANY = 1000
@@ -34,11 +35,6 @@ COUNTS = [1, TILE + 44, 2 * TILE + 1, *(pytest.param(n, marks=pytest.mark.slow) 
 
 def strobe():
     return make_return_map(SYSTEMS["constant"], SPLITTINGS["blanes_moan6"], 80)
-
-
-def same(one, other):
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def lane(k, tree):
@@ -70,7 +66,7 @@ def test_same_bits_for_any_number_of_lanes_and_devices(runners, chaos, count, de
     """Chaos would blow a single bit up; the last lanes are asked for as well as the first, at other places of a tile."""
     for part in (slice(0, count), slice(MANY - count, MANY)):
         few = runners[devices](iterate, (strobe(), np.int32(PERIODS)), lane(part, (STATE, CHAOTIC)))
-        same(few, lane(part, chaos))
+        same_leaves(few, lane(part, chaos))
 
 
 @pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 300])
@@ -81,15 +77,15 @@ def test_same_bits_of_derivatives(runners, count):
     one, two = (
         runners[n](derivatives, shared, lane(slice(0, count), (u, CHAOTIC)), tile=64, static=("b",)) for n in (1, 2)
     )
-    same(one, two)
-    same(one, lane(slice(0, count), runners[2](derivatives, shared, (u, CHAOTIC), tile=64, static=("b",))))
+    same_leaves(one, two)
+    same_leaves(one, lane(slice(0, count), runners[2](derivatives, shared, (u, CHAOTIC), tile=64, static=("b",))))
 
 
 def test_same_bits_in_any_order(runners, chaos):
     """A lane does not depend on its place, nor on its neighbours."""
     order = np.random.default_rng(6).permutation(MANY)
     shuffled = runners[2](iterate, (strobe(), np.int32(PERIODS)), lane(order, (STATE, CHAOTIC)))
-    same(shuffled, lane(order, chaos))
+    same_leaves(shuffled, lane(order, chaos))
 
 
 @pytest.mark.parametrize("bad", [0, 5, TILE - 1, 699])
@@ -102,7 +98,7 @@ def test_lane_that_is_not_a_number(runners, bad):
     b[bad] = math.nan
     result = runners[2](iterate, (strobe(), np.int32(3)), (state, {"b": b}))
     others = np.arange(count) != bad
-    same(lane(others, result), lane(others, good))
+    same_leaves(lane(others, result), lane(others, good))
     assert all(math.isnan(leaf[bad]) for leaf in jax.tree.leaves(result))
 
 
@@ -151,8 +147,8 @@ def test_chain_is_its_functions_one_after_the_other(runners, devices, longest):
             expected.append(few(iterate, (maps, np.int32(3)), (expected[-1], own)))
         with mock.patch.object(executor, "_LONGEST", longest * TILE):
             positions = few.chain([link, link, link._replace(keep=keep_all)], (state, own))
-        same(positions[2], expected[3])
-        same(positions[:2], [state[0] for state in expected[1:3]])
+        same_leaves(positions[2], expected[3])
+        same_leaves(positions[:2], [state[0] for state in expected[1:3]])
 
 
 def test_observed_states_are_those_recorded(runners):
@@ -163,7 +159,7 @@ def test_observed_states_are_those_recorded(runners):
         seen, end = runners[1].observe(strobe(), count, (state, p), _first_of, (np.float64(2.0),))
         np.testing.assert_array_equal(seen, 2.0 * states[0][0])
         if count:
-            same(end, lane((slice(None), -1), states))
+            same_leaves(end, lane((slice(None), -1), states))
 
 
 def _first_of(factor, state):
@@ -240,7 +236,7 @@ def test_a_flow_first_seen_by_two_devices():
     start = jax.vmap(flow.chart.state)(np.stack([np.linspace(0.0, 1.0, 8), np.zeros(8)], axis=1))
     lanes = start, {"damping": np.full(8, 0.1)}
     found = [LaneExecutor(devices=jax.devices("cpu")[:n])(iterate, (step, np.int32(20)), lanes) for n in (2, 1)]
-    same(*found)
+    same_leaves(*found)
 
 
 def test_cores_of_a_system_that_cannot_say(monkeypatch):

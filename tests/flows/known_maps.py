@@ -85,3 +85,11 @@ def system(a=0.4):
     return {"map": image, "coordinates": ("x",)}
 """
 """Fixed points at +-sqrt(a) of multiplier 1 - 2 a."""
+
+
+def henon(a=1.4, b=0.3):
+    def image(s):
+        x, y = s
+        return 1.0 - a * x**2 + y, b * x
+
+    return {"map": image, "coordinates": ("x", "y")}

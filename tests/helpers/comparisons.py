@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import numpy as np
 import xarray as xr
 
 _OF_A_RUN = ("history", "wall_seconds", "compile_seconds", "lane_periods", "device")
+
+
+def same_leaves(result: Any, expected: Any) -> None:
+    """Equal leaves of two pytrees, to the bit."""
+    for ours, other in zip(jax.tree.leaves(result), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(ours, other)
 
 
 def same_tree(tree: xr.DataTree, expected: xr.DataTree, *, but_for: tuple[str, ...] = ()) -> None:

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxnh.solvers.diffrax_solvers import OneTermSolver
 from jaxnh.solvers.isokinetic import IsokineticSplitting, kick
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta, combine
 from jaxnh.systems.flow import Flow, Parameters
@@ -16,7 +17,7 @@ from jaxnh.systems.particle import IsokineticParticle
 from jaxnh.systems.state import Number, State, Vector
 
 
-class RungeKuttaSolver(diffrax.AbstractAdaptiveSolver):
+class RungeKuttaSolver(OneTermSolver, diffrax.AbstractAdaptiveSolver):
     """A Runge–Kutta method of the package as a diffrax solver, with its embedded error estimate.
 
     The state may be any pytree. Nothing is carried from step to step (no FSAL); what only the error estimate or the
@@ -28,17 +29,10 @@ class RungeKuttaSolver(diffrax.AbstractAdaptiveSolver):
 
     method: WrittenOutRungeKutta = eqx.field(static=True)
 
-    term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar = diffrax.ThirdOrderHermitePolynomialInterpolation
 
     def order(self, terms: Any) -> int:
         return self.method.convergence_order
-
-    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> None:
-        return None
-
-    def func(self, terms: diffrax.AbstractTerm, t0: Any, y0: Any, args: Any) -> Any:
-        return terms.vf(t0, y0, args)
 
     def step(
         self, terms: diffrax.AbstractTerm, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
@@ -56,7 +50,7 @@ class RungeKuttaSolver(diffrax.AbstractAdaptiveSolver):
         return y1, error, {"y0": y0, "y1": y1, "k0": stages[0], "k1": end}, None, diffrax.RESULTS.successful
 
 
-class ProjectedSolver(diffrax.AbstractSolver):
+class ProjectedSolver(OneTermSolver):
     """Steps of a Runge–Kutta method, each followed by `Flow.project`.
 
     The order stays: a projection moves a step by no more than a multiple of its own error.
@@ -69,20 +63,11 @@ class ProjectedSolver(diffrax.AbstractSolver):
     solver: RungeKuttaSolver
     system: Flow
 
-    term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
-
     def __init__(self, method: WrittenOutRungeKutta, system: Flow) -> None:
         self.solver, self.system = RungeKuttaSolver(method), system
 
     def order(self, terms: Any) -> int:
         return self.solver.order(terms)
-
-    def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> None:
-        return None
-
-    def func(self, terms: Any, t0: Any, y0: State, args: Any) -> Any:
-        return self.solver.func(terms, t0, y0, args)
 
     def step(
         self, terms: Any, t0: Any, t1: Any, y0: State, args: Any, solver_state: Any, made_jump: Any
@@ -93,10 +78,17 @@ class ProjectedSolver(diffrax.AbstractSolver):
         return y1, None, {"y0": y0, "y1": y1}, solver_state, result
 
 
-class DriftTerm(diffrax.AbstractTerm):
-    """q' = s(t) n as a diffrax term: the vector field is n, the control ∫ s dt."""
+class VectorTerm(diffrax.AbstractTerm):
+    """A term of tuples of numbers, whose controls are numbers."""
 
     system: IsokineticParticle
+
+    def prod(self, vf: Vector, control: Number) -> Vector:
+        return tuple(control * v for v in vf)
+
+
+class DriftTerm(VectorTerm):
+    """q' = s(t) n as a diffrax term: the vector field is n, the control ∫ s dt."""
 
     def vf(self, t: Number, y: Vector, args: Parameters) -> Vector:
         return y
@@ -104,14 +96,9 @@ class DriftTerm(diffrax.AbstractTerm):
     def contr(self, t0: Number, t1: Number, **kwargs: Parameters) -> Array:
         return self.system.path_length(jnp.asarray(t0), jnp.asarray(t1))
 
-    def prod(self, vf: Vector, control: Number) -> Vector:
-        return tuple(control * v for v in vf)
 
-
-class KickTerm(diffrax.AbstractTerm):
+class KickTerm(VectorTerm):
     """F/s at a frozen time as a diffrax term; the solver turns n by it. `args` are the lane's parameters."""
-
-    system: IsokineticParticle
 
     def vf(self, t: Number, y: Vector, args: Parameters) -> Vector:
         weight = 1.0 / self.system.speed(t)
@@ -120,16 +107,13 @@ class KickTerm(diffrax.AbstractTerm):
     def contr(self, t0: Number, t1: Number, **kwargs: Parameters) -> Number:
         return t1 - t0
 
-    def prod(self, vf: Vector, control: Number) -> Vector:
-        return tuple(control * v for v in vf)
-
 
 def isokinetic_terms(system: IsokineticParticle) -> tuple[DriftTerm, KickTerm]:
     """The two terms that a `SplittingSolver` integrates."""
     return DriftTerm(system), KickTerm(system)
 
 
-class SplittingSolver(diffrax.AbstractSolver):
+class SplittingSolver(OneTermSolver):
     """A splitting of the package as a diffrax solver of `isokinetic_terms`, for constant steps.
 
     Of a processed splitting these are the steps alone, of order two: `maps.build` puts the processor before the first
@@ -142,13 +126,9 @@ class SplittingSolver(diffrax.AbstractSolver):
     method: IsokineticSplitting = eqx.field(static=True)
 
     term_structure: ClassVar = (diffrax.AbstractTerm, diffrax.AbstractTerm)
-    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
 
     def order(self, terms: tuple[DriftTerm, KickTerm]) -> int:
         return 2 if self.method.processed else self.method.convergence_order
-
-    def init(self, terms: tuple[DriftTerm, KickTerm], t0: Number, t1: Number, y0: State, args: Parameters) -> None:
-        return None
 
     def func(self, terms: tuple[DriftTerm, KickTerm], t0: Number, y0: State, args: Parameters) -> State:
         drift, kick = terms

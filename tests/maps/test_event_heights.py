@@ -104,3 +104,15 @@ def test_many_corners(system, solver):
     assert np.array(by_y.state.y[1]) == pytest.approx(np.full(3, np.exp(-LENGTH)), rel=1e-11)
     assert np.array(by_a.state.y[0]) == pytest.approx([LENGTH * speed(x) for x in exact], rel=1e-11)
     assert np.array(ended.volume) == pytest.approx(np.exp(-LENGTH) * ratio, rel=1e-11)
+
+
+def test_tangents_of_many_corners_are_one_array(system):
+    """Four have the products of two: only where they are stacked and taken apart are there more equations."""
+    strobe = jumping_strobe(system, in_loop(verner9), np.linspace(0.0, LENGTH, 25))
+    state = system.start({"x": 0.3, "y": 0.0})
+
+    def products(count):
+        tangents = (Tangent(jax.tree.map(jnp.ones_like, state), {}),) * count
+        return str(jax.make_jaxpr(lambda z: strobe.pushforward(z, {}, tangents))(state)).count(" mul ")
+
+    assert products(4) == products(2)

@@ -544,3 +544,25 @@ def test_a_jump_that_sets_a_coordinate():
     along, across = jax.jit(lambda growth: advance(strobes, None, 3, 0.0, growth, {}).logs)(begun)
     assert np.isneginf(across)
     assert along == pytest.approx(0.0, abs=1e-6)  # after each period the state is the same
+
+
+def test_a_dense_field_is_evaluated_once_a_stage_for_its_divergence():
+    """Each of eight rates depends on all coordinates through one exponential, which no derivative repeats."""
+
+    def coupled():
+        def rhs(y, t, side):
+            weight = jnp.exp(-sum(x * x for x in y))
+            return tuple(weight * x - side[0] for x in y)
+
+        names = tuple(f"x{i}" for i in range(8))
+        return {"rhs": rhs, "coordinates": names, "period": 1.0, "switches": ({"on": lambda y, t: y[0]},)}
+
+    system = piecewise_smooth(coupled, {})
+    strobe = jumping_strobe(system, in_loop(tsit5), np.linspace(0.0, 1.0, 9))
+    state = system.chart.state(jnp.ones(8))
+
+    def exponentials(volume):
+        tangents = (Tangent(jax.tree.map(jnp.ones_like, state), {}),)
+        return str(jax.make_jaxpr(lambda z: strobe.pushforward(z, {}, tangents, volume))(state)).count(" exp ")
+
+    assert exponentials(volume=True) == exponentials(volume=False) + 1  # that of the logarithm of the volume

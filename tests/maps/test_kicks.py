@@ -19,6 +19,7 @@ from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, P, im
 from tests.flows.particle import twin
 from tests.helpers import taylor
 from tests.helpers.cases import some_slow
+from tests.helpers.comparisons import same_leaves
 from tests.helpers.convergence import FINEST, derivatives_apart, size
 from tests.helpers.diffrax_solvers import SplittingSolver, isokinetic_terms
 from tests.helpers.measurement import apart
@@ -163,11 +164,6 @@ def test_only_the_derivative_asked_for(lanes):
 # ---- several parameters
 
 
-def same_bits(one, other):
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 @pytest.mark.parametrize("build", [constant_speed, disturbed_speed])
 @pytest.mark.parametrize("compensated", [False, True])
 def test_two_parameters_of_a_lane(lanes, build, compensated):
@@ -180,9 +176,9 @@ def test_two_parameters_of_a_lane(lanes, build, compensated):
 
     for value in a:
         both = end(build(), {"a": np.full(len(b), value), "b": b})
-        same_bits(both, end(build(a=value), {"b": b}))
+        same_leaves(both, end(build(a=value), {"b": b}))
     pairs = end(build(), {"a": np.resize(a, len(b)), "b": np.full(len(b), 5.2)})
-    same_bits(pairs, end(build(b=5.2), {"a": np.resize(a, len(b))}))
+    same_leaves(pairs, end(build(b=5.2), {"a": np.resize(a, len(b))}))
 
 
 @systems
@@ -205,12 +201,12 @@ def test_no_disturbance_is_constant_speed(lanes, name, compensated):
         make_return_map(system, SPLITTINGS[name], 60, compensated=compensated)
         for system in (disturbed_speed(d=0.0), constant_speed())
     )
-    same_bits((still.table, still.kicks, still.rest), (constant.table, constant.kicks, constant.rest))
+    same_leaves((still.table, still.kicks, still.rest), (constant.table, constant.kicks, constant.rest))
     for function, static, tile in ((section_map, (), None), (derivatives, ("b",), 16)):
         one, other = (
             lanes(function, (s, np.int32(2)), (CALM_STATES, P), static=static, tile=tile) for s in (still, constant)
         )
-        same_bits(one, other)
+        same_leaves(one, other)
 
 
 def test_one_program_for_all_shared_parameters():

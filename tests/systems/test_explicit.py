@@ -13,7 +13,8 @@ from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.solvers import tsit5
 from jaxnh.systems.explicit import all_velocities, free_accelerations
 from jaxnh.systems.jourdain import accelerations
-from jaxnh.systems.lagrangian import Motion, ReducedMotion, lagrangian
+from jaxnh.systems.lagrangian import Motion, lagrangian
+from jaxnh.systems.motion import ReducedMotion
 
 PERIOD = 2 * np.pi
 

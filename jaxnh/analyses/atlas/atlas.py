@@ -89,7 +89,7 @@ def _windows_options(options: AtlasOptions) -> WindowsOptions:
     return WindowsOptions(**{name: getattr(options, name) for name in names})
 
 
-def _shared(options: AtlasOptions, of: type, *names: str) -> dict[str, Any]:
+def _shared(options: AtlasOptions, kind: type, *names: str) -> dict[str, Any]:
     """Options of another analysis: periods and the transient, and of steps and starts those that are given."""
     steps = ("ds", "ds_min", "ds_max", "max_steps")
     given = {name: getattr(options, name) for name in (*steps, *names) if name in options.model_fields_set}
@@ -111,8 +111,8 @@ def whole(options: AtlasOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.
         number += groups["branches"].sizes["branch"]
         groups["bifurcations"] = groups["bifurcations"].assign(curve=_curve_numbers(row, sweep, every))
     groups = {
-        "branches": stack_rows([one["branches"] for one in along], "branch", second, values),
-        "bifurcations": stack_rows([one["bifurcations"] for one in along], "bifurcation", second, values),
+        "branches": stack_rows([part["branches"] for part in along], "branch", second, values),
+        "bifurcations": stack_rows([part["bifurcations"] for part in along], "bifurcation", second, values),
         "windows": stack_rows([row.windows for row in rows], "window", second, values),
         **curves.curve_groups(of_curves, sweep, followed),
         "curve_orbits": _curve_orbits(rows[0], lanes, every),
@@ -135,8 +135,8 @@ def _rows(options: AtlasOptions, sweep: SweepLanes, lanes: LaneRunner) -> list[_
 def _curve_numbers(row: _Row, sweep: SweepLanes, every: Sequence[Curve]) -> Entry:
     """The curve through every bifurcation of a row, in the order of their table."""
     widths, numbers = np.array([float(np.ptp(axis.values)) for axis in sweep.axes]), list[int]()
-    for of, point in ordered_bifurcations(row.grown):
-        family, period = row.grown[of].family, 0 if row.grown[of].family.field else len(point.points)
+    for part, point in ordered_bifurcations(row.grown):
+        family, period = row.grown[part].family, 0 if row.grown[part].family.field else len(point.points)
         at = point.points, np.array([point.value, row.value])
         numbers.append(curve_through(every, point.kind, period, *at, widths, family.wrap, family.size))
     words = "number of the curve through the bifurcation"
@@ -149,8 +149,8 @@ def _curve_orbits(row: _Row, lanes: LaneRunner, every: Sequence[Curve]) -> xr.Da
 
     def table(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
         filled = np.full((*shape, *more), empty)
-        for k, one in enumerate(values):
-            filled[(k, *map(slice, one.shape))] = one
+        for k, value in enumerate(values):
+            filled[(k, *map(slice, value.shape))] = value
         return filled
 
     points = [(int(curve.equilibria), curve.points) for curve in every]
@@ -173,8 +173,8 @@ def _dataset(
         second.name: variable(dim, np.array([row.value for row in rows]), second.long_name, second.units)
     }
     for name in _COUNTED:
-        here = [int(np.sum(groups[name][second.name].to_numpy() == row.value)) for row in rows]
-        columns[name] = variable(dim, np.array(here, np.int32), f"number of {name}")
+        counts = [int(np.sum(groups[name][second.name].to_numpy() == row.value)) for row in rows]
+        columns[name] = variable(dim, np.array(counts, np.int32), f"number of {name}")
     cut = [curve for curve in followed.curves if MOST_POINTS in curve.ends]
     single = {
         "curves": (len(followed.curves), "number of curves of bifurcations"),

@@ -49,10 +49,10 @@ def _stacked(rows: Sequence[xr.DataArray], dim: str) -> tuple[tuple[str, ...], n
     along = dims.index(dim)
     shape[along] = sum(row.shape[along] for row in rows)
     empty = np.nan if first.dtype.kind in "fc" else np.ravel(attrs.get("flag_values", 0))[0]
-    whole, begun = np.full(shape, empty, first.dtype), 0
+    whole, start = np.full(shape, empty, first.dtype), 0
     for row in rows:
         place = [slice(size) for size in row.shape]
-        place[along] = slice(begun, begun + row.shape[along])
+        place[along] = slice(start, start + row.shape[along])
         whole[tuple(place)] = row.to_numpy()
-        begun += row.shape[along]
+        start += row.shape[along]
     return dims, whole, attrs

@@ -48,7 +48,7 @@ def periods(options: BasinsOptions, lanes: int) -> float:
 def check(options: BasinsOptions, setting: Setting) -> None:
     """Check that random starts have a box and exclude other start states, and that `boundary` has a plane."""
     if options.n_starts:
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
     if options.boundary:
         check_plane(setting, "boundary")
 
@@ -61,8 +61,8 @@ def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[
     subset = np.unique(np.linspace(0, batch.count - 1, min(batch.count, _SAMPLED)).round().astype(int))
     subset_batch = _draw_starts(options, batch.take(subset))[0]
     sample = subset_batch.take(np.unique(np.linspace(0, subset_batch.count - 1, _SAMPLED).round().astype(int)))
-    begun = average_window(sample, lanes, sample.start, options.transient // 2)
-    return {"steps": choose_steps(sample, lanes, begun.state)}
+    window = average_window(sample, lanes, sample.start, options.transient // 2)
+    return {"steps": choose_steps(sample, lanes, window.state)}
 
 
 def run(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -132,8 +132,8 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
     table = SweepAttractors(point_of, np.zeros(0, np.int32), None, {}, ())
     if every is not None:
         tracked = continue_attractors(grid, lanes, every, point_of, options.transient, options.max_periods)
-        table, of = _number_attractors(grid, lanes, every, point_of, tracked, on)
-        number[on >= 0] = of[on[on >= 0]]
+        table, numbers = _number_attractors(grid, lanes, every, point_of, tracked, on)
+        number[on >= 0] = numbers[on[on >= 0]]
     flow = sweep.rows[0][1].flow
     unit = iterate_units(flow)
     axes = tuple(sweep.axes[k] for k in own)
@@ -194,16 +194,16 @@ def _number_attractors(
             np.array([getattr(orbit, k) for orbit in unseen]) for k in ("u", "multiplier", "exponent")
         )
         orbits = select(every, origin)._replace(u=u, multiplier=multiplier, exponent=exponent)
-        for here, batch in grid.batches_at(at[len(same) :]):
-            orbits.points[here, :POINTS] = record_points(batch_from_points(batch, lanes, u[here]), lanes, POINTS)
+        for block, batch in grid.batches_at(at[len(same) :]):
+            orbits.points[block, :POINTS] = record_points(batch_from_points(batch, lanes, u[block]), lanes, POINTS)
         every = join_attractors([every, orbits])
     coordinates = dict[str, Output]()
-    for here, batch in grid.batches_at(at):
-        for name, output in _coordinates(batch, lanes, select(every, here)).items():
+    for block, batch in grid.batches_at(at):
+        for name, output in _coordinates(batch, lanes, select(every, block)).items():
             kept = coordinates.setdefault(
                 name, output._replace(data=np.full((len(at), *output.data.shape[1:]), np.nan))
             )
-            kept.data[here] = output.data
+            kept.data[block] = output.data
     changes = [change._replace(attractor=int(number[change.attractor])) for change in tracked.changes]
     return SweepAttractors(at, np.concatenate([number, number[origin]]), every, coordinates, changes), number
 

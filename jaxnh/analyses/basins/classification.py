@@ -170,8 +170,8 @@ def _average_confirming_window(
     parts, order = [], []
     for length in np.unique(look).tolist():
         group = np.flatnonzero(look == length)
-        begun = states_at(batch.take(group), lanes, records.u[group])
-        parts.append(average_window(batch.take(group), lanes, begun, LONGER * length))
+        start = states_at(batch.take(group), lanes, records.u[group])
+        parts.append(average_window(batch.take(group), lanes, start, LONGER * length))
         order.append(group)
     back = np.argsort(np.concatenate(order))
     window = jax.tree.map(lambda *leaves: np.concatenate(leaves)[back], *parts)

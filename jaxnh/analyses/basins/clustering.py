@@ -236,12 +236,12 @@ def _representatives(
             break
         points, first = np.unique(point[settled], return_index=True)
         leaders = settled[first]
-        of = np.searchsorted(points, point[settled])
-        mine = leaders[of]
+        owner = np.searchsorted(points, point[settled])
+        mine = leaders[owner]
         alike = np.all(
             np.abs(records.means[settled] - records.means[mine]) <= records.unit[settled] + records.unit[mine], axis=1
         )
-        cluster[settled[alike]] = len(seeds) + of[alike]
+        cluster[settled[alike]] = len(seeds) + owner[alike]
         seeds += leaders.tolist()
         settled = settled[~alike]
     others = np.flatnonzero(pending & (records.known == RESTLESS)) if restless else np.zeros(0, int)
@@ -294,41 +294,41 @@ def join_attractors(parts: Sequence[Attractors]) -> Attractors:
 
 def _match_attractors(
     chart: Chart,
-    one: Attractors,
+    first: Attractors,
     others: Attractors,
     largest: Float[np.ndarray, " d"],
     same_point: Bool[np.ndarray, " others"],
 ) -> Bool[np.ndarray, " others"]:
     """Return whether each attractor at the same point is the given one: orbits share a point, others fill one set."""
-    if one.kind in (PERIODIC, EQUILIBRIUM):
-        return same_orbits(chart, one, others, largest) & same_point
-    alike = (others.kind == one.kind) & same_point
+    if first.kind in (PERIODIC, EQUILIBRIUM):
+        return same_orbits(chart, first, others, largest) & same_point
+    alike = (others.kind == first.kind) & same_point
     for k in np.flatnonzero(alike):
-        alike[k] = same_set(chart, one, jax.tree.map(lambda leaf, k=k: leaf[k], others))
+        alike[k] = same_set(chart, first, jax.tree.map(lambda leaf, k=k: leaf[k], others))
     return alike
 
 
-def same_set(chart: Chart, one: Attractors, other: Attractors) -> bool:
+def same_set(chart: Chart, first: Attractors, second: Attractors) -> bool:
     """Return whether two motions fill the same set: the points of each lie within the spacing of the other's.
 
     Of chaos the points of one are enough, as a finite look need not have visited all of it.
     """
-    margin, within = max(float(one.margin), float(other.margin)), list[bool]()
-    for a, b in ((one, other), (other, one)):
+    margin, within = max(float(first.margin), float(second.margin)), list[bool]()
+    for a, b in ((first, second), (second, first)):
         points = a.points[:: max(1, len(a.points) // POINTS)]
         inside = lie_within(point_set(chart, b.points, b.steps, b.size), points, b.size, margin)
         within.append(bool(np.mean(inside) >= _MOSTLY))
-    return any(within) if one.kind == CHAOTIC else all(within)
+    return any(within) if first.kind == CHAOTIC else all(within)
 
 
 def same_orbits(
-    chart: Chart, one: Attractors, others: Attractors, largest: Float[np.ndarray, " d"]
+    chart: Chart, first: Attractors, others: Attractors, largest: Float[np.ndarray, " d"]
 ) -> Bool[np.ndarray, " others"]:
     """Return whether each attractor is an equilibrium or orbit of the same kind and period through the point `u`."""
-    turns = int(one.period)
+    turns = int(first.period)
     points = others.points[:, :turns] if turns else others.u[:, None]
-    apart = np.abs(chart.wrap(points - one.u))
-    alike = (others.kind == one.kind) & (others.period == one.period)
+    apart = np.abs(chart.wrap(points - first.u))
+    alike = (others.kind == first.kind) & (others.period == first.period)
     return alike & np.any(np.all(apart <= same_within(largest), axis=-1), axis=1)
 
 

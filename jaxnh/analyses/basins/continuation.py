@@ -139,16 +139,18 @@ def continue_attractors(
             _join(same, point, attractor, int(line.next[attractor]))
     there = {(int(same[k]), int(at)) for k, at in enumerate(point)}
     once = dict[tuple[int, int], Unseen]()
-    for one in unseen:  # one that is met from several neighbours is the first of them
-        key = int(same[one.origin]), one.point
+    for new in unseen:  # one that is met from several neighbours is the first of them
+        key = int(same[new.origin]), new.point
         if key not in there:
-            once.setdefault(key, one)
+            once.setdefault(key, new)
     return ContinuedAttractors(same, changes, tuple(once.values()))
 
 
-def _join(groups: Int[np.ndarray, " attractors"], point: Int[np.ndarray, " attractors"], one: int, other: int) -> None:
+def _join(
+    groups: Int[np.ndarray, " attractors"], point: Int[np.ndarray, " attractors"], first: int, second: int
+) -> None:
     """Identify two attractors, in place, unless there would then be two at one value, as around a cusp."""
-    low, high = sorted((groups[one], groups[other]))
+    low, high = sorted((groups[first], groups[second]))
     if low != high and not np.intersect1d(point[groups == low], point[groups == high]).size:
         groups[groups == high] = low
 
@@ -177,8 +179,8 @@ class _AxisLinks:
         """Number of each attractor at the next higher value, −1 where it ends."""
         return self._links[1]
 
-    def _link(self, one: int, other: int, way: int = 1) -> None:
-        self._links[way][one], self._links[-way][other] = other, one
+    def _link(self, first: int, second: int, way: int = 1) -> None:
+        self._links[way][first], self._links[-way][second] = second, first
 
     def _attractors_at(self, at: int) -> Int[np.ndarray, " some"]:
         """Return the attractors at a value."""
@@ -219,11 +221,11 @@ class _AxisLinks:
                         self._ends[way][origin] = int(at[k]), int(end[k])
                 left, at, u = left[goes_on], end[goes_on], orbits.u[goes_on]
 
-    def _identify(self, one: int, u: Float[np.ndarray, " d"], at: int) -> int:
+    def _identify(self, attractor: int, u: Float[np.ndarray, " d"], at: int) -> int:
         """Return the attractor at a value that is an orbit of this kind and period through u; −1 if there is none."""
         there = self._attractors_at(at)
         chart = self._grid.batches[self._grid.row[at]].chart
-        like = jax.tree.map(lambda leaf: leaf[one], self._every)._replace(u=u)
+        like = jax.tree.map(lambda leaf: leaf[attractor], self._every)._replace(u=u)
         hits = there[same_orbits(chart, like, select(self._every, there), self._largest)]
         return int(hits[0]) if len(hits) else -1
 
@@ -288,8 +290,8 @@ class _AxisLinks:
             inner = [k for k in inner if k in self._unlinked(self._point[k], way)]
             faced = [k for k in inner if len(self._unlinked(self._beside[way][k], -way))]
             to = self._destinations(np.array(faced, int), self._beside[way][faced], transient, longest)
-            leads |= {(one, way): int(other) for one, other in zip(faced, to, strict=True)}
-        for at in np.unique(self._point[[one for one, way in leads if way == 1]]).tolist():
+            leads |= {(first, way): int(second) for first, second in zip(faced, to, strict=True)}
+        for at in np.unique(self._point[[first for first, way in leads if way == 1]]).tolist():
             after = self._grid.neighbours(self._axis, np.array([at]), 1)[0]
             self._pair(self._unlinked(at, 1), self._unlinked(after, -1), leads)
 
@@ -297,17 +299,17 @@ class _AxisLinks:
         self, ones: Int[np.ndarray, " ones"], others: Int[np.ndarray, " others"], leads: dict[tuple[int, int], int]
     ) -> None:
         """Link attractors of neighbouring values that lead to each other, or one to the other, and to nothing else."""
-        arrows = {(one, leads[one, 1]) for one in ones.tolist() if leads[one, 1] >= 0}
-        arrows |= {(leads[other, -1], other) for other in others.tolist() if leads[other, -1] >= 0}
-        for one, other in sorted(arrows):
-            alone = all((a == one) == (b == other) for a, b in arrows)
-            if alone and one in ones and other in others:
-                self._link(one, other)
+        arrows = {(first, leads[first, 1]) for first in ones.tolist() if leads[first, 1] >= 0}
+        arrows |= {(leads[second, -1], second) for second in others.tolist() if leads[second, -1] >= 0}
+        for first, second in sorted(arrows):
+            alone = all((a == first) == (b == second) for a, b in arrows)
+            if alone and first in ones and second in others:
+                self._link(first, second)
 
     def _unlinked(self, at: int, way: int) -> Int[np.ndarray, " some"]:
         """Return the attractors at a value that end there in this direction: neither linked nor continued by Newton."""
         there = self._attractors_at(at)
-        ends = np.array([self._ends[way].get(one, (at, at))[0] == at for one in there.tolist()], bool)
+        ends = np.array([self._ends[way].get(attractor, (at, at))[0] == at for attractor in there.tolist()], bool)
         return there[(self._links[way][there] < 0) & ends]
 
     def _destinations(
@@ -317,9 +319,9 @@ class _AxisLinks:
         to = np.full((len(subset), _PROBES), -1)
         place = np.linspace(0, POINTS - 1, _PROBES).round().astype(int)
         for places, batch in self._grid.batches_at(points):
-            begun = self._every.points[subset[places]][:, place]
+            start = self._every.points[subset[places]][:, place]
             many = batch.take(np.repeat(np.arange(len(places)), _PROBES))
-            many = batch_from_points(many, self._lanes, begun.reshape(-1, begun.shape[-1]))
+            many = batch_from_points(many, self._lanes, start.reshape(-1, start.shape[-1]))
             records, at = settle(many, self._lanes, transient, longest), np.repeat(points[places], _PROBES)
             assignment = Assignment(np.full(many.count, -1), self._point, self._every)
             while True:
@@ -361,8 +363,8 @@ class _AxisLinks:
     def _chaotic_chains(self) -> Iterator[list[int]]:
         """Yield chains of two or more chaotic attractors, each linked to the next."""
         chaotic = self._every.kind == CHAOTIC
-        for one in np.flatnonzero(chaotic).tolist():
-            before, chain = int(self._links[-1][one]), [one]
+        for attractor in np.flatnonzero(chaotic).tolist():
+            before, chain = int(self._links[-1][attractor]), [attractor]
             if before >= 0 and chaotic[before]:
                 continue
             while (other := int(self._links[1][chain[-1]])) >= 0 and chaotic[other]:
@@ -374,4 +376,6 @@ class _AxisLinks:
         """Return points of attractors, in units of the largest of their sizes."""
         size = np.max(self._every.size[chain], axis=0)
         turns = np.array(self._grid.batches[0].chart.angles)
-        return [embed_points(self._every.points[one], turns, np.where(size > 0.0, size, 1.0)) for one in chain]
+        return [
+            embed_points(self._every.points[attractor], turns, np.where(size > 0.0, size, 1.0)) for attractor in chain
+        ]

@@ -68,12 +68,12 @@ def point_set(
     return PointSet(chart, scale, points, steps, KDTree(_scale(chart, points, scale), boxsize=_box(chart, scale)))
 
 
-def offsets(of: PointSet, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
+def offsets(points: PointSet, u: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
     """Return differences of section points from the nearest point of a set, for an autonomous flow from its path."""
-    nearest = of.tree.query(_scale(of.chart, u, of.scale))[1]
-    away, along = of.chart.wrap(u - of.points[nearest]), of.steps[nearest]
-    length = np.sum((along / of.scale) ** 2, axis=1)
-    part = np.sum(away * along / of.scale**2, axis=1) / np.where(length > 0.0, length, 1.0)
+    nearest = points.tree.query(_scale(points.chart, u, points.scale))[1]
+    away, along = points.chart.wrap(u - points.points[nearest]), points.steps[nearest]
+    length = np.sum((along / points.scale) ** 2, axis=1)
+    part = np.sum(away * along / points.scale**2, axis=1) / np.where(length > 0.0, length, 1.0)
     return away - np.clip(part, -1.0, 1.0)[:, None] * along
 
 
@@ -96,10 +96,10 @@ def spacing(
 
 
 def lie_within(
-    of: PointSet, points: Float[np.ndarray, "points d"], size: Float[np.ndarray, " d"], margin: float
+    cloud: PointSet, points: Float[np.ndarray, "points d"], size: Float[np.ndarray, " d"], margin: float
 ) -> Bool[np.ndarray, " points"]:
     """Return whether points lie within a margin, in sizes, of a set."""
-    return np.all(np.abs(offsets(of, points)) <= margin * np.where(size > 0.0, size, 1.0), axis=1)
+    return np.all(np.abs(offsets(cloud, points)) <= margin * np.where(size > 0.0, size, 1.0), axis=1)
 
 
 def _interpolate(

@@ -77,15 +77,15 @@ def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, st
     records.known[absent], records.status[absent] = FAILED, STATUS.index("off_constraint")
     finite = np.flatnonzero(~absent)
     active = batch.take(finite)
-    begun = average_window(active, lanes, active.start, transient // 2) if len(finite) else None
-    if begun is None:
+    first = average_window(active, lanes, active.start, transient // 2) if len(finite) else None
+    if first is None:
         return records
     batch, active = (replace(part, steps=steps or part.steps) for part in (batch, active))
-    window = average_window(active, lanes, begun.state, transient // 2)
-    records.least[finite] = _LEAST * np.fmax(np.abs(points_at(active, lanes, active.start)), begun.largest)
+    window = average_window(active, lanes, first.state, transient // 2)
+    records.least[finite] = _LEAST * np.fmax(np.abs(points_at(active, lanes, active.start)), first.largest)
     records.size[finite] = np.fmax(window.largest, records.least[finite])
     records.time[finite], records.u[finite] = transient, points_at(batch, lanes, window.state)
-    records.gap[finite] = _gap(window, units(np.array(batch.chart.angles), np.fmax(begun.largest, window.largest)))
+    records.gap[finite] = _gap(window, units(np.array(batch.chart.angles), np.fmax(first.largest, window.largest)))
     _fail(records, finite, batch.flow, window.state)
     left = records.known[finite] == OPEN
     _extend_windows(batch, lanes, records, finite[left], select(window.state, left), transient, longest)

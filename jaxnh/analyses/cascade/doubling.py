@@ -238,7 +238,7 @@ def _levels(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) 
             row[1:1] = [f"{theirs[name][k]:.6f}"]
             row[4:4] = [f"{difference:+.1e}", f"{theirs['delta'][k]:.4f}"]
         rows.append(tuple("–" if cell in ("nan", "+nan") else cell for cell in row))
-    words = filter(None, (_limit_words(data), sensitivity_words(data, name, "level")))
+    words = filter(None, (_limit_words(data), sensitivity_words(data, name)))
     return Table("Period doublings", heads, tuple(rows), "; ".join(words) or None)
 
 

@@ -132,7 +132,7 @@ def _maps(batch: LaneBatch, lanes: LaneRunner) -> list[_Map]:
     """The maps, all through one program."""
     plain = [replace(batch, compensated=False).map(refinement).as_loop() for refinement in REFINEMENTS[:_MAPS]]
     exact = refined_maps(batch)[:_MAPS]
-    return [_map(batch, lanes, one.padded_like(plain[-1]), same) for one, same in zip(plain, exact, strict=True)]
+    return [_map(batch, lanes, coarse.padded_like(plain[-1]), same) for coarse, same in zip(plain, exact, strict=True)]
 
 
 def _map(batch: LaneBatch, lanes: LaneRunner, plain: ReturnMap, exact: Maps) -> _Map:
@@ -166,7 +166,8 @@ def _locate(
     else:
         return None
     points += [
-        extended_doubling(*of, start, size, wrap) for of, start in zip(maps[-len(starts) :], starts, strict=True)
+        extended_doubling(*family, start, size, wrap)
+        for family, start in zip(maps[-len(starts) :], starts, strict=True)
     ]
     settled = tuple(point for point in points if point is not None)
     return settled if len(settled) == len(maps) else None
@@ -253,7 +254,7 @@ def _extrapolated(column: list[Decimal]) -> Decimal:
     before = [Decimal(0)] * (len(column) + 1)
     limit = column[-1]
     for order in range(1, len(column)):
-        steps = [after - here for here, after in itertools.pairwise(column)]
+        steps = [after - value for value, after in itertools.pairwise(column)]
         if not all(steps):
             break
         before, column = column, [old + 1 / step for old, step in zip(before[1:], steps, strict=False)]

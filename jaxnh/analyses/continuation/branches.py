@@ -74,7 +74,7 @@ def check(options: BranchesOptions, setting: Setting) -> None:
     for name in {first.name, *taken} & {*OWN_NAMES, f"{first.name}_error"}:
         raise OptionError(f"{name} is what branches calls a number of its own; rename it")
     if options.box:
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
     if options.equilibria:
         check_equilibria(setting)
     if options.method == "collocation" and (why := no_collocation(setting.flow)):
@@ -134,12 +134,12 @@ def grow_branches(
     ends = float(axis.values.min()), float(axis.values.max())
     waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
     sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
-    here = batch.take(np.argsort(axis.values, kind="stable")[sampled])
+    sample = batch.take(np.argsort(axis.values, kind="stable")[sampled])
     if options.n_starts:
         with lanes.stage(f"branches: {options.n_starts} random starts at {len(sampled)} values of {axis.name}", 0):
             waves.append(
                 random_wave(
-                    here,
+                    sample,
                     lanes,
                     options.n_starts,
                     options.seed,
@@ -157,7 +157,7 @@ def grow_branches(
     families = [orbit_family(batch, lanes, strobe, unit, ends) for strobe in refined_maps(batch)]
     still = list[FollowedBranches]()
     if options.equilibria:
-        still.append(equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
+        still.append(equilibria(sample, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
         if isinstance(batch.system, Section):
             waves.append(cycles_at_hopf_points(still[0], families[0], batch.system))
     tree, timed = None, None
@@ -179,11 +179,11 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     name, period = str(data.attrs["along"]), data["period"].to_numpy()
     rows = []
     for n in np.unique(period).tolist():
-        here = np.flatnonzero(period == n)
-        stable = np.any(data["stable"].to_numpy()[here] == 1, axis=1)
-        values = data[name].to_numpy()[here]
+        places = np.flatnonzero(period == n)
+        stable = np.any(data["stable"].to_numpy()[places] == 1, axis=1)
+        values = data[name].to_numpy()[places]
         ends = f"{np.nanmin(values):.9g} to {np.nanmax(values):.9g}"
-        rows.append((str(n) if n else "equilibria", str(len(here)), str(int(stable.sum())), ends))
+        rows.append((str(n) if n else "equilibria", str(len(places)), str(int(stable.sum())), ends))
     return Table("Branches of periodic orbits", ("period", "branches", "stable somewhere", name), tuple(rows))
 
 

@@ -143,10 +143,10 @@ def condition_curves(
         names: of both parameters.
         ends: of their ranges.
     """
-    begun = next((seed for each in waves for wave in each for seed in wave), None)
-    if begun is None:
+    first = next((seed for each in waves for wave in each for seed in wave), None)
+    if first is None:
         return []
-    steps, sides = step_control(options), _sides(batches[0], begun)
+    steps, sides = step_control(options), _sides(batches[0], first)
     rows = [_on_one_side(batch, sides) for batch in batches]
     reach = (float(ends[0][0]), float(ends[1][0]))
     curves, plane = list[ConditionCurve](), None
@@ -223,23 +223,23 @@ class _CyclePlane:
             for name, side in zip(surface_names(self._batch.flow), self._sides, strict=True)
         ]
         made = list[tuple[CycleCondition, _Condition]]()
-        for one in asked:
-            if one.kind == DURATION:
-                made.append((one, DurationCondition(one.value)))
-            elif one.kind == GRAZING:
+        for condition in asked:
+            if condition.kind == DURATION:
+                made.append((condition, DurationCondition(condition.value)))
+            elif condition.kind == GRAZING:
                 for name, height, sign in surfaces:
                     guards = [(other, its) for key, other, its in surfaces if key != name]
                     equations = ExtremumCondition(self._problem, height, 0.0, sign, guards)
-                    made.append((one._replace(name=name), equations))
+                    made.append((condition._replace(name=name), equations))
             else:
                 guards = [(height, its) for _, height, its in surfaces]
-                at = self._problem, self._height(one.name), one.value
-                if one.kind in (MEAN, EXPONENT_SUM):
-                    made.append((one, MeanCondition(*at, guards)))
-                elif one.kind == AMPLITUDE:
-                    made.append((one, AmplitudeCondition(*at, guards)))
+                at = self._problem, self._height(condition.name), condition.value
+                if condition.kind in (MEAN, EXPONENT_SUM):
+                    made.append((condition, MeanCondition(*at, guards)))
+                elif condition.kind == AMPLITUDE:
+                    made.append((condition, AmplitudeCondition(*at, guards)))
                 else:
-                    made.append((one, ExtremumCondition(*at, 1.0 if one.kind == MAXIMUM else -1.0, guards)))
+                    made.append((condition, ExtremumCondition(*at, 1.0 if condition.kind == MAXIMUM else -1.0, guards)))
         return made
 
     def new_curves(
@@ -254,7 +254,7 @@ class _CyclePlane:
         """Curves that a branch of cycles at a value of the second parameter leads to, and that are not there yet."""
         curves = list[ConditionCurve]()
         for seed in self._seeds(known, second, equations):
-            point = first_point(self._problem, equations.begun(seed), known.lift, self._ends, equations)
+            point = first_point(self._problem, equations.rotate_to_start(seed), known.lift, self._ends, equations)
             if point is None or any(
                 other.condition == condition and self._passes(other, point, known.returns)
                 for other in (*there, *curves)
@@ -262,7 +262,7 @@ class _CyclePlane:
                 continue
             points, ends = self._both_ways(point, known.lift, equations, steps)
             refined = refined_points(self._problem, points, known.lift, equations)
-            places = np.stack([self._place(one.solution) for one in points])
+            places = np.stack([self._place(passed.solution) for passed in points])
             curves.append(ConditionCurve(condition, known.returns, *refined, ends, places))
         return curves
 
@@ -297,10 +297,10 @@ class _CyclePlane:
         if curve.period != returns:
             return False
         gaps = curve.places - self._place(point.solution)
-        chords, begun = np.diff(gaps, axis=0), gaps[:-1]
+        chords, starts = np.diff(gaps, axis=0), gaps[:-1]
         lengths = np.maximum(np.sum(chords**2, axis=1), np.finfo(float).tiny)
-        shares = np.clip(-np.sum(begun * chords, axis=1) / lengths, 0.0, 1.0)
-        return bool(np.linalg.norm(begun + shares[:, None] * chords, axis=1).min(initial=np.inf) <= _NEAR)
+        shares = np.clip(-np.sum(starts * chords, axis=1) / lengths, 0.0, 1.0)
+        return bool(np.linalg.norm(starts + shares[:, None] * chords, axis=1).min(initial=np.inf) <= _NEAR)
 
     def _height(self, name: str) -> Height:
         """An observable, the height of a wall or surface, or by no name the divergence, with derivatives."""

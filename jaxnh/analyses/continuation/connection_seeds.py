@@ -133,17 +133,17 @@ def saddle_chains(
 ) -> list[Chain]:
     """All saddles over the values of the first axis, from equilibria that are known at each."""
     chains = list[Chain]()
-    for number, one in enumerate(values[:, None]):
+    for number, value in enumerate(values[:, None]):
         for chain in chains:
             if number - 1 in chain.saddles:
-                for saddle in shooting.saddles(chain.saddles[number - 1].state, one):
+                for saddle in shooting.saddles(chain.saddles[number - 1].state, value):
                     chain.saddles[number] = saddle
         known = [chain.saddles[number].state for chain in chains if number in chain.saddles]
         for u in equilibria[number]:
             gaps = [shooting.batch.chart.wrap(u - state) / shooting.problem.size for state in known]
             if min((np.abs(gap).max() for gap in gaps), default=np.inf) > _SAME:
                 known.append(u)
-                chains += [Chain({number: saddle}) for saddle in shooting.saddles(u, one)]
+                chains += [Chain({number: saddle}) for saddle in shooting.saddles(u, value)]
     return chains
 
 
@@ -275,9 +275,9 @@ def _passages(
     return [_Passage(k, float(sides[k]), float(distance[k] / largest[k])) for k in places[: shooting.pulses]]
 
 
-def _first_difference(one: list[_Passage], other: list[_Passage]) -> int | None:
+def _first_difference(first: list[_Passage], second: list[_Passage]) -> int | None:
     """Number of the first passage that is on different sides, None where there is none."""
-    for k, (a, b) in enumerate(zip(one, other, strict=False)):
+    for k, (a, b) in enumerate(zip(first, second, strict=False)):
         if a.side != b.side:
             return k if a.side * b.side else None
     return None
@@ -346,7 +346,7 @@ class _PathSearch:
         Of a direction in which paths part by e^(λt) the digits of the parameter tell nothing after a time of 36/λ. On
         the segment there is a state whose path stays, as between two states on both sides of an edge.
         """
-        shooting, size, begun = self._shooting, self._shooting.problem.size, 0
+        shooting, size, start = self._shooting, self._shooting.problem.size, 0
         for _ in range(_SEGMENTS):
             assert self._pair is not None
             first, second = self._pair
@@ -354,12 +354,12 @@ class _PathSearch:
             with np.errstate(invalid="ignore"):
                 apart = ~(np.abs((second.path[:count] - first.path[:count]) / size).max(axis=1) <= _APART)
             last = (int(np.argmax(apart)) if apart.any() else count) - 1
-            if last <= begun:
+            if last <= start:
                 return
             shares = np.linspace(0.0, 1.0, _FINER + 1)[:, None]
             states = first.path[last] + shares * (second.path[last] - first.path[last])
             more = _paths_from(shooting, self._manifold.backward, states, np.full(len(states), first.value))
-            paths, begun = [first._replace(path=np.concatenate([first.path[:last], path])) for path in more], last
+            paths, start = [first._replace(path=np.concatenate([first.path[:last], path])) for path in more], last
             if self._look(paths) is None or self._is_near():
                 return
 
@@ -369,7 +369,9 @@ class _PathSearch:
     def _look(self, paths: list[_Nearest]) -> int | None:
         """Number of the path after which sides change, None without; it or the next one may be the nearest."""
         pulse, passed = self._bracket.pulse, self._bracket.passed
-        passages = [_passages(self._shooting, self._manifold, one.path, one.arrival, passed) for one in paths]
+        passages = [
+            _passages(self._shooting, self._manifold, arrival.path, arrival.arrival, passed) for arrival in paths
+        ]
         changed = [k for k in range(len(paths) - 1) if _first_difference(passages[k], passages[k + 1]) == pulse]
         if not changed:
             return None

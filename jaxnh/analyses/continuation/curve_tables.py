@@ -50,8 +50,8 @@ def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, l
 
     def table(values: Sequence[np.ndarray], *more: int) -> np.ndarray:
         filled = np.full((*shape, *more), np.nan)
-        for k, one in enumerate(values):
-            filled[(k, *map(slice, one.shape))] = one
+        for k, value in enumerate(values):
+            filled[(k, *map(slice, value.shape))] = value
         return filled
 
     dims, d = ("curve", "point"), _dimension(batch, curves)
@@ -131,7 +131,7 @@ def _of_points(batch: LaneBatch, special: Sequence[CurvePoint]) -> dict[str, Ent
     """Coordinates and normal forms of equilibria at points of codimension two; NaN of orbits."""
     dim, flow = "codimension_two", batch.flow
     none = np.full((len(special), COUNT), np.nan)
-    coefficients = np.array([none[0] if one.coefficients is None else one.coefficients for one in special])
+    coefficients = np.array([none[0] if point.coefficients is None else point.coefficients for point in special])
     forms = "; ".join(f"{POINTS[kind]}: {form}: {names}" for kind, (form, names) in TERMS.items())
     variables = {
         "coefficients": variable(
@@ -142,17 +142,17 @@ def _of_points(batch: LaneBatch, special: Sequence[CurvePoint]) -> dict[str, Ent
         )
     }
     for k, name in enumerate(flow.coordinates):
-        values = [np.nan if one.coefficients is None else float(one.point.points[0, k]) for one in special]
+        values = [np.nan if point.coefficients is None else float(point.point.points[0, k]) for point in special]
         variables[name] = variable(dim, np.array(values), f"{flow.labels.long_names[name]} of the equilibrium")
     return variables
 
 
 def _kind_and_curve(before: str, special: Sequence[CurvePoint]) -> dict[str, Entry]:
-    return special_kinds(before, [one.point.kind for one in special], [one.curve for one in special], POINTS)
+    return special_kinds(before, [point.point.kind for point in special], [point.curve for point in special], POINTS)
 
 
 def _at_special(name: str, axis: Axis, k: int, special: Sequence[CurvePoint], words: str) -> dict[str, Entry]:
-    values, errors = [one.point.values[k] for one in special], [one.error[k] for one in special]
+    values, errors = [point.point.values[k] for point in special], [point.error[k] for point in special]
     return special_values(name, axis, values, errors, words, "; NaN where finer maps do not have the point")
 
 

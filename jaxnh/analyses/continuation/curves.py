@@ -81,7 +81,7 @@ def check(options: CurvesOptions, setting: Setting) -> None:
     own |= {f"codimension_two_{name}{rest}" for name in names for rest in ("", "_error")}
     if options.equilibria:
         check_equilibria(setting)
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
         own.add("coefficients")
     if options.conditional:
         check_conditions(options, setting)
@@ -154,10 +154,12 @@ def _of_equilibria(still: EquilibriumCurves) -> CurveSet:
     plane, every = still
     special = [
         CurvePoint(k, located.point, located.error, form.coefficients)
-        for k, one in enumerate(every)
-        for located, form in zip(one.points, one.forms, strict=True)
+        for k, member in enumerate(every)
+        for located, form in zip(member.points, member.forms, strict=True)
     ]
-    return CurveSet([one.curve for one in every], [rounding_errors(plane, one.curve) for one in every], special)
+    return CurveSet(
+        [member.curve for member in every], [rounding_errors(plane, member.curve) for member in every], special
+    )
 
 
 def _bifurcations_of_lanes(
@@ -211,7 +213,7 @@ def _of_orbits(
         with lanes.stage(f"curves: from {len(seeds)} bifurcations{at}", 0):
             curves = _follow_curves(plane, curves, seeds, options)
     if still is not None and isinstance(batch.system, Section):
-        points = [pair for one in still.curves for pair in zip(one.points, one.forms, strict=True)]
+        points = [pair for followed in still.curves for pair in zip(followed.points, followed.forms, strict=True)]
         with lanes.stage("curves: of cycles from points of codimension two of equilibria", 0):
             starts = cycle_seeds(still.plane, plane, section_plane(batch.system), points)
             seeds = [CurveSeed(start.kind, start.points, start.values) for start in starts]
@@ -229,11 +231,11 @@ def _of_orbits(
     return CurveSet(curves, errors, special)
 
 
-def _joined(one: CurveSet, other: CurveSet) -> CurveSet:
+def _joined(first: CurveSet, second: CurveSet) -> CurveSet:
     """All curves, one after the other."""
-    first = len(one.curves)
-    special = [point._replace(curve=first + point.curve) for point in other.special]
-    return CurveSet([*one.curves, *other.curves], [*one.errors, *other.errors], [*one.special, *special])
+    count = len(first.curves)
+    special = [point._replace(curve=count + point.curve) for point in second.special]
+    return CurveSet([*first.curves, *second.curves], [*first.errors, *second.errors], [*first.special, *special])
 
 
 def _follow_curves(

@@ -49,11 +49,21 @@ def tree_of_cycles(batch: LaneBatch, followed: Sequence[FollowedCycles]) -> Tree
         residual = np.array([point.residual for point in known.branch.points])
         none = np.zeros((len(orbits), 0))
         branches.append(Branch(orbits, known.branch.value, still, none, multipliers, residual, known.branch.ends))
-        for one in known.bifurcations:
-            at = cycle_points(batch, one.point.solution, known.returns)
-            value = one.point.value
+        for bifurcation in known.bifurcations:
+            at = cycle_points(batch, bifurcation.point.solution, known.returns)
+            value = bifurcation.point.value
             points.append(
-                Bifurcation(one.kind, value, one.error, number, one.place, at, one.point.multipliers, np.nan, 0)
+                Bifurcation(
+                    bifurcation.kind,
+                    value,
+                    bifurcation.error,
+                    number,
+                    bifurcation.place,
+                    at,
+                    bifurcation.point.multipliers,
+                    np.nan,
+                    0,
+                )
             )
     lost = [SignChange(number, *each) for number, known in enumerate(followed) for each in known.lost]
     return Tree(branches, points, lost)

@@ -95,11 +95,11 @@ def _follow_on(
     locate: bool,
 ) -> None:
     """Follow the branch of a cycle and those of doubled ones, where they are new."""
-    begun = _first_point(problem, guess, path_lift(batch.flow, guess.path))
-    if begun is None or _is_known(problem, followed, begun, returns):
+    start = _first_point(problem, guess, path_lift(batch.flow, guess.path))
+    if start is None or _is_known(problem, followed, start, returns):
         return
     lift = path_lift(batch.flow, guess.path)
-    open_ = [(begun, returns, lift, True)]
+    open_ = [(start, returns, lift, True)]
     while open_:
         point, n, lift, both_ways = open_.pop(0)
         if _is_known(problem, followed, point, n):

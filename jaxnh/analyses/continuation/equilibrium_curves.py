@@ -85,8 +85,8 @@ def equilibrium_curves(
     for batch in batches:
         count = len(batch.first_axis.values)
         sampled = np.unique(np.linspace(0, count - 1, min(options.n_values, count)).round().astype(int))
-        here = batch.take(np.argsort(batch.first_axis.values, kind="stable")[sampled])
-        followed = equilibria(here, lanes, options.equilibria, options.seed, options.box, ends, steps, stage)
+        sample = batch.take(np.argsort(batch.first_axis.values, kind="stable")[sampled])
+        followed = equilibria(sample, lanes, options.equilibria, options.seed, options.box, ends, steps, stage)
         size, second = followed.family.size, float(batch.p[names[1]][0])
         seeds += [
             (point.kind, point.points[0], np.array([point.value, second]))
@@ -99,12 +99,12 @@ def equilibrium_curves(
     u, values = np.stack([seed[1] for seed in seeds]), np.stack([seed[2] for seed in seeds])
     blocks = linearisations(plane, u, values)
     plane = plane._replace(frequency=float(np.median(np.abs(np.linalg.eigvals(blocks)).max(axis=1))))
-    begun = [
+    starts = [
         (kind, critical_equilibria(plane, kind, u[k : k + 1], values[k : k + 1], blocks[k : k + 1]))
         for k, (kind, _, _) in enumerate(seeds)
     ]
-    with stage(f"curves of equilibria from {len(begun)} bifurcations"):
-        return EquilibriumCurves(plane, follow_all(plane, begun, step_control(options)))
+    with stage(f"curves of equilibria from {len(starts)} bifurcations"):
+        return EquilibriumCurves(plane, follow_all(plane, starts, step_control(options)))
 
 
 def rounding_errors(plane: FieldPlane, curve: Curve) -> Float[np.ndarray, "k 2"]:
@@ -123,13 +123,13 @@ def linearisations(
 
 
 def follow_all(
-    plane: FieldPlane, begun: Sequence[tuple[int, CriticalEquilibria]], steps: StepControl
+    plane: FieldPlane, starts: Sequence[tuple[int, CriticalEquilibria]], steps: StepControl
 ) -> list[EquilibriumCurve]:
     """The curves through bifurcations and those that leave at their points of codimension two, each once."""
-    curves, queue = list[EquilibriumCurve](), list(begun)
+    curves, queue = list[EquilibriumCurve](), list(starts)
     while queue:
         kind, at = queue.pop(0)
-        if not np.isfinite(at.first).all() or passes(plane, [one.curve for one in curves], kind, at, _NEAR):
+        if not np.isfinite(at.first).all() or passes(plane, [known.curve for known in curves], kind, at, _NEAR):
             continue
         [curve] = follow_curves(plane, kind, at, steps)
         if curve is None:

@@ -106,18 +106,18 @@ def grow(
     tree = Tree([], [], [])
     for wave in waves:
         open_ = list(wave)
-        begun: dict[int, list[CurveOrbits]] = {}
-        while open_ or begun:
-            n = min([*(len(orbit.points) for orbit in open_), *begun])
+        starts: dict[int, list[CurveOrbits]] = {}
+        while open_ or starts:
+            n = min([*(len(orbit.points) for orbit in open_), *starts])
             mine = [orbit for orbit in open_ if len(orbit.points) == n]
             open_ = [orbit for orbit in open_ if len(orbit.points) != n]
-            new = _follow_branches(families[0], tree, mine, begun.pop(n, []), steps, stage)
+            new = _follow_branches(families[0], tree, mine, starts.pop(n, []), steps, stage)
             if not new:
                 continue
             tree, more, parents = _add_branches(families, tree, new, limit, stage)
             open_ += parents
             for orbits in more:
-                begun.setdefault(orbits.points.shape[1], []).append(orbits)
+                starts.setdefault(orbits.points.shape[1], []).append(orbits)
     return tree
 
 
@@ -125,12 +125,12 @@ def _follow_branches(
     family: Family,
     tree: Tree,
     seeds: Sequence[SeedOrbit],
-    begun: Sequence[CurveOrbits],
+    starts: Sequence[CurveOrbits],
     steps: StepControl,
     stage: Stage,
 ) -> list[Branch]:
     """The new branches through orbits, and on from orbits at bifurcations, all of one period."""
-    queue = [orbits.take(orbits.converged) for orbits in begun]  # first, as they begin where their branches do
+    queue = [orbits.take(orbits.converged) for orbits in starts]  # first, as they begin where their branches do
     beside = sum(len(orbits.value) for orbits in queue)
     if seeds:
         points, value = np.stack([orbit.points for orbit in seeds]), np.array([orbit.value for orbit in seeds])
@@ -203,13 +203,13 @@ def _add_branches(
         tree.bifurcations.extend(points[k] for k in kept)
         kind = np.array([points[k].kind for k in kept], int)
         double, cross = (np.array(kept, int)[kind == which] for which in (DOUBLING, BRANCH_POINT))
-        begun = list[CurveOrbits]()
+        starts = list[CurveOrbits]()
         if len(double) and 2 * n <= limit:
-            begun.append(doubled_orbits(families[0], first.take(double), vectors[double]))
+            starts.append(doubled_orbits(families[0], first.take(double), vectors[double]))
         if len(cross):
             sides = [crossing_orbits(families[0], first.take(cross), sign) for sign in (1.0, -1.0)]
-            begun.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *sides))
-    return tree, begun, parents
+            starts.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *sides))
+    return tree, starts, parents
 
 
 def _locate(
@@ -254,7 +254,7 @@ def _locate(
 
 
 def _sign_changes(stretch: Brackets, which: Bool[np.ndarray, " some"], count: int) -> list[SignChange]:
-    """Some of the brackets on branches that are numbered from `count` on."""
+    """A subset of the brackets, on branches that are numbered from `count` on."""
     rows = zip(stretch.branch[which] + count, stretch.place[which], stretch.kind[which], strict=True)
     return [SignChange(int(branch), int(place), int(kind)) for branch, place, kind in rows]
 
@@ -274,7 +274,9 @@ def _middle(family: Family, points: Float[np.ndarray, "n d"]) -> Float[np.ndarra
 def new_bifurcations(family: Family, known: Sequence[Bifurcation], points: Sequence[Bifurcation]) -> list[int]:
     """Numbers of those points that no branch has in common with what is known, or with a point before them."""
     every = [*known, *points]
-    kind, value, error = (np.array([getattr(one, name) for one in every]) for name in ("kind", "value", "error"))
+    kind, value, error = (
+        np.array([getattr(bifurcation, name) for bifurcation in every]) for name in ("kind", "value", "error")
+    )
     kept, there = list[int](), np.arange(len(every)) < len(known)
     for k, point in enumerate(points):
         near = _SAME_POINT * family.width + point.error + error

@@ -84,7 +84,7 @@ def check(options: HomoclinicOptions, setting: Setting) -> None:
     check_plane("homoclinic orbits", setting)
     if not options.box:
         raise OptionError("needs a box to draw the starts of Newton for saddles from", "box")
-    check_box(options.box, setting, "box")
+    check_box(options.box, setting)
     check_names("homoclinic", {*_OWN_NAMES, *(f"{axis.name}_error" for axis in setting.axes)}, setting)
 
 
@@ -124,7 +124,7 @@ def _seeds(
     values = np.unique(batch.first_axis.values)
     problem = flow_problem(batch, lanes, size, names, widths)
     shooting = Shooting(batch, lanes, problem, value, options.duration, options.pulses)
-    chains = saddle_chains(shooting, values, [u[at == one] for one in values])
+    chains = saddle_chains(shooting, values, [u[at == number] for number in values])
     return list(connection_seeds(shooting, values, chains))
 
 
@@ -142,13 +142,13 @@ def _follow(
     curves: list[tuple[Problem, ConnectionCurve]],
 ) -> None:
     """Add the curve of an orbit, unless Newton does not confirm it or its curve is known; cut ones are joined to it."""
-    begun = connection_near(problem, seed.guess, seed.departure, seed.arrival)
-    if begun is None or np.any(begun.values < ends[0]) or np.any(begun.values > ends[1]):
+    start = connection_near(problem, seed.guess, seed.departure, seed.arrival)
+    if start is None or np.any(start.values < ends[0]) or np.any(start.values > ends[1]):
         return
-    if any(is_on_curve(problem, curve, begun) for _, curve in curves):
+    if any(is_on_curve(problem, curve, start) for _, curve in curves):
         return
     whole, apart = (
-        follow_connections(problem, begun, *ends, step_control(options)),
+        follow_connections(problem, start, *ends, step_control(options)),
         list[tuple[Problem, ConnectionCurve]](),
     )
     for own, other in curves:
@@ -168,7 +168,7 @@ def _with_errors(problem: Problem, curve: ConnectionCurve) -> FollowedConnection
         points.append(point if finer is None else finer.orbit)
         errors.append(np.full(2, np.nan) if finer is None else finer.error)
     homoclinic = _kind(coarse[0]) == 0 if coarse else False
-    special = [one for _, one in special_connections(problem, curve)] if homoclinic else []
+    special = [member for _, member in special_connections(problem, curve)] if homoclinic else []
     return FollowedConnections(points, np.reshape(errors, (-1, 2)), curve.ends, special)
 
 
@@ -187,8 +187,8 @@ def _dataset(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[FollowedCo
 
     def table(numbers: Sequence[Sequence[np.ndarray] | np.ndarray], *more: int, fill: float = np.nan) -> np.ndarray:
         filled = np.full((*shape, *more), fill)
-        for k, one in enumerate(numbers):
-            filled[k, : len(one)] = np.reshape(one, (len(one), *more))
+        for k, number in enumerate(numbers):
+            filled[k, : len(number)] = np.reshape(number, (len(number), *more))
         return filled
 
     def along(number_of, *more: int, fill: float = np.nan) -> np.ndarray:
@@ -258,11 +258,11 @@ def _saddle_columns(batch: LaneBatch, dims: tuple[str, str], along) -> dict[str,
 
 def _special_columns(axes: Sequence[Axis], curves: Sequence[FollowedConnections]) -> dict[str, Entry]:
     """Points of codimension two: kinds, numbers of their curves, and both parameters with errors."""
-    special, before = [(k, one) for k, curve in enumerate(curves) for one in curve.special], "codimension_two_"
-    columns = special_kinds(before, [one.kind for _, one in special], [k for k, _ in special], POINTS)
+    special, before = [(k, point) for k, curve in enumerate(curves) for point in curve.special], "codimension_two_"
+    columns = special_kinds(before, [point.kind for _, point in special], [k for k, _ in special], POINTS)
     for k, axis in enumerate(axes):
         words = f"{axis.long_name} at the point of codimension two"
-        values, errors = [one.values[k] for _, one in special], [one.error[k] for _, one in special]
+        values, errors = [point.values[k] for _, point in special], [point.error[k] for _, point in special]
         columns |= special_values(f"{before}{axis.name}", axis, values, errors, words)
     return columns
 
@@ -272,11 +272,11 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     first, second = str(data.attrs["over"]).split()
     rows = []
     for k in range(data.sizes["curve"]):
-        one = data.isel(curve=k)
-        ranges = [f"{float(one[name].min()):.9g} to {float(one[name].max()):.9g}" for name in (first, second)]
-        worst = max(float((one[f"{name}_error"]).max()) for name in (first, second))
+        curve = data.isel(curve=k)
+        ranges = [f"{float(curve[name].min()):.9g} to {float(curve[name].max()):.9g}" for name in (first, second)]
+        worst = max(float((curve[f"{name}_error"]).max()) for name in (first, second))
         special = [POINTS[int(kind)] for kind in data["codimension_two_kind"][data["codimension_two_curve"] == k]]
-        rows.append((KINDS[int(one["kind"])], *ranges, f"{worst:.1g}", ", ".join(special) or "–"))
+        rows.append((KINDS[int(curve["kind"])], *ranges, f"{worst:.1g}", ", ".join(special) or "–"))
     heads = ("orbit", first, second, "error", "points of codimension two")
     return Table("Homoclinic and heteroclinic orbits", heads, tuple(rows), left=(0, 4))
 

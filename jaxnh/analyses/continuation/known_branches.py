@@ -38,14 +38,14 @@ class KnownBranches:
         """Have one branch more."""
         if branch.period != self._period:
             return
-        begun, more = self._count, len(branch.value)
+        count, more = self._count, len(branch.value)
         self._count += more
         begins = np.arange(more) == 0
         columns = (branch.value, branch.way.value, branch.points, branch.way.points, begins)
         tables = (self._value, self._rate, self._points, self._way, self._begins)
         tables = [_with_room(table, self._count) for table in tables]
         for table, column in zip(tables, columns, strict=True):
-            table[begun : self._count] = column
+            table[count : self._count] = column
         self._value, self._rate, self._points, self._way, self._begins = tables
 
     def has(self, points: Float[np.ndarray, "n d"], value: float, near: float = SAME) -> bool:
@@ -98,9 +98,9 @@ def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float
     return KnownBranches(family, branches, branches[0].period).orbits_at(value)
 
 
-def same_orbit(family: Family, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], near: float) -> bool:
+def same_orbit(family: Family, first: Float[np.ndarray, "n d"], second: Float[np.ndarray, "n d"], near: float) -> bool:
     """Return whether two orbits are as near as this in lengths, whichever of their points comes first."""
-    return len(one) == len(other) and bool(_distances_from(family, one[None], other)[0] <= near)
+    return len(first) == len(second) and bool(_distances_from(family, first[None], second)[0] <= near)
 
 
 def _with_room(table: np.ndarray, count: int) -> np.ndarray:
@@ -124,17 +124,17 @@ def _on_cubics(
     rates, slopes = size * ways.value, size[:, None, None] * ways.points
 
     def rise(s: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        left, (first, last), (begun, ended) = 1.0 - s, values[:, rows], rates[:, rows]
-        return 6.0 * s * left * (last - first) + left * (1.0 - 3.0 * s) * begun + s * (3.0 * s - 2.0) * ended
+        left, (first, last), (start, end) = 1.0 - s, values[:, rows], rates[:, rows]
+        return 6.0 * s * left * (last - first) + left * (1.0 - 3.0 * s) * start + s * (3.0 * s - 2.0) * end
 
     def above(s: np.ndarray, rows: np.ndarray) -> np.ndarray:
         return _cubic(s, values[:, rows], rates[:, rows]) - value
 
-    zero, one, every = np.zeros(len(size)), np.ones(len(size)), np.arange(len(size))
-    turn, turns = zero.copy(), np.flatnonzero(rise(zero, every) * rise(one, every) < 0.0)
-    turn[turns] = _zeros(partial(rise, rows=turns), zero[turns], one[turns])
+    zeros, ones, every = np.zeros(len(size)), np.ones(len(size)), np.arange(len(size))
+    turn, turns = zeros.copy(), np.flatnonzero(rise(zeros, every) * rise(ones, every) < 0.0)
+    turn[turns] = _zeros(partial(rise, rows=turns), zeros[turns], ones[turns])
     orbits = list[np.ndarray]()
-    for low, high in ((zero, turn), (turn, one)):
+    for low, high in ((zeros, turn), (turn, ones)):
         rows = np.flatnonzero((above(low, every) <= 0.0) != (above(high, every) <= 0.0))
         places = _zeros(partial(above, rows=rows), low[rows], high[rows])[:, None, None]
         orbits.append(_cubic(places, points[:, rows], slopes[:, rows]))

@@ -65,9 +65,9 @@ def random_wave(
         if n == 1:
             good &= ~at_rest(many.take(lane % many.count), lanes, orbit.points[:, 0])
         for value in np.unique(values[lane[good]]).tolist():
-            here = orbit.points[good & (values[lane] == value)]
-            first = equal_cycles(np.zeros(len(here), int), here, size, wrap) == np.arange(len(here))
-            seeds += [SeedOrbit(orbit_points, value) for orbit_points in here[first]]
+            candidates = orbit.points[good & (values[lane] == value)]
+            first = equal_cycles(np.zeros(len(candidates), int), candidates, size, wrap) == np.arange(len(candidates))
+            seeds += [SeedOrbit(orbit_points, value) for orbit_points in candidates[first]]
     return seeds
 
 

@@ -75,11 +75,11 @@ def datasets(
     """
     batch = grown[0].batch
     axis, trees = batch.first_axis, [part.tree for part in grown]
-    all_ = [(of, k) for of, tree in enumerate(trees) for k in range(len(tree.branches))]
+    all_ = [(family, k) for family, tree in enumerate(trees) for k in range(len(tree.branches))]
     order = sorted(all_, key=lambda pair: (_period(grown[pair[0]], trees[pair[0]].branches[pair[1]].period), pair))
     rank = {pair: place for place, pair in enumerate(order)}
     bifurcations = ordered_bifurcations(grown)
-    branches = _branches(lanes, grown, [(of, trees[of].branches[k]) for of, k in order])
+    branches = _branches(lanes, grown, [(family, trees[family].branches[k]) for family, k in order])
     attrs = {
         "limit": limit,
         "along": axis.name,
@@ -91,15 +91,17 @@ def datasets(
         branches["duration"] = _durations(timed, [rank[0, k] for k in range(len(timed))], branches, batch)
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
     signs = np.full(branches[axis.name][1].shape, -1)
-    for of, tree in enumerate(trees):
+    for family, tree in enumerate(trees):
         for change in tree.lost:
-            signs[rank[of, change.branch], change.place] = change.kind
+            signs[rank[family, change.branch], change.place] = change.kind
     words = "kind of bifurcation that could not be located between the point and the next one"
     branches["not_located_kind"] = flag(("branch", "point"), signs, words, ("none", *KINDS), -1)
-    points = _bifurcations(lanes, grown, bifurcations, [rank[of, point.branch] for of, point in bifurcations])
+    points = _bifurcations(lanes, grown, bifurcations, [rank[family, point.branch] for family, point in bifurcations])
     own = {"along": axis.name}
     if derived:
-        critical = [CriticalOrbit(-1 if of else p.kind, p.value, p.points, p.multipliers) for of, p in bifurcations]
+        critical = [
+            CriticalOrbit(-1 if family else p.kind, p.value, p.points, p.multipliers) for family, p in bifurcations
+        ]
         rates = bifurcation_sensitivities(batch, lanes, critical)
         words = f"{axis.long_name} at the bifurcation"
         points |= sensitivity_variables(rates, batch, "bifurcation", axis.name, words, axis.units)
@@ -112,7 +114,7 @@ def datasets(
 
 def ordered_bifurcations(grown: Sequence[FollowedBranches]) -> list[tuple[int, Bifurcation]]:
     """All bifurcations in the order of the parameter, each after the number of its family."""
-    every = [(of, point) for of, part in enumerate(grown) for point in part.tree.bifurcations]
+    every = [(number, point) for number, part in enumerate(grown) for point in part.tree.bifurcations]
     return sorted(every, key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
 
 
@@ -122,8 +124,8 @@ def _durations(
     """Durations of cycles over branches and their points; of equilibria there is none."""
     dims, like, _ = branches[batch.first_axis.name]
     whole = np.full(like.shape, np.nan)
-    for place, one in zip(places, timed, strict=True):
-        whole[place, : len(one)] = one
+    for place, duration in zip(places, timed, strict=True):
+        whole[place, : len(duration)] = duration
     return variable(dims, whole, "time that the cycle takes", batch.flow.labels.units["t"])
 
 
@@ -149,19 +151,19 @@ def _branches(
 
     def table(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
         whole = np.full((*shape, *more), empty)
-        for k, one in enumerate(values):
-            whole[(k, slice(len(one)), *map(slice, one.shape[1:]))] = one
+        for k, value in enumerate(values):
+            whole[(k, slice(len(value)), *map(slice, value.shape[1:]))] = value
         return whole
 
     dims = ("branch", "point")
-    periods = [_period(grown[of], branch.period) for of, branch in branches]
+    periods = [_period(grown[part], branch.period) for part, branch in branches]
     values = table([_parts(branch.multipliers) for branch in every], np.nan, _dimension(grown), 2)
-    attracts = [stable(grown[of].family, branch.multipliers) for of, branch in branches]
+    attracts = [stable(grown[part].family, branch.multipliers) for part, branch in branches]
     residual = "largest component of P(u) − u, in sizes of the motion"
     return {
         axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
         "period": period_variable(("branch",), periods, iterate_units(system)),
-        **orbit_coordinates(lanes, grown, [(of, branch.points) for of, branch in branches], table, dims),
+        **orbit_coordinates(lanes, grown, [(part, branch.points) for part, branch in branches], table, dims),
         "multipliers": variable((*dims, "multiplier", "part"), values, _multiplier_words(grown)),
         "stable": flag(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
@@ -182,14 +184,14 @@ def _bifurcations(
 
     def column(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
         whole = np.full((len(every), *more), empty)
-        for k, one in enumerate(values):
-            whole[(k, *map(slice, one.shape))] = one
+        for k, value in enumerate(values):
+            whole[(k, *map(slice, value.shape))] = value
         return whole
 
     def rows(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
         return column([value[0] for value in values], empty, *more)
 
-    periods = [_period(grown[of], len(point.points)) for of, point in bifurcations]
+    periods = [_period(grown[part], len(point.points)) for part, point in bifurcations]
     multipliers = column([_parts(point.multipliers) for point in every], np.nan, _dimension(grown), 2)
     error_words = f"largest error of {name}, from step refinement, interpolation and rounding"
     coefficient = (
@@ -215,7 +217,7 @@ def _bifurcations(
             -1,
         ),
         "coefficient": variable(dim, np.array([point.coefficient for point in every], float), coefficient),
-        **orbit_coordinates(lanes, grown, [(of, point.points[None]) for of, point in bifurcations], rows, dim),
+        **orbit_coordinates(lanes, grown, [(part, point.points[None]) for part, point in bifurcations], rows, dim),
         "multipliers": variable((*dim, "multiplier", "part"), multipliers, _multiplier_words(grown)),
     }
 
@@ -228,11 +230,11 @@ def bifurcations_table(data: xr.Dataset) -> Table:
     )
     rows = []
     for k in range(data.sizes["bifurcation"]):
-        of = str(period[k]) if period[k] else "equilibrium"
+        period_words = str(period[k]) if period[k] else "equilibrium"
         born = CRITICALITIES[int(criticality[k]) + 1] if criticality[k] else "–"
         decimals = int(np.clip(-np.floor(np.log10(error[k])), 0, 15)) if error[k] > 0 else 15
         at = f"{value[k]:.{decimals}f} ± {error[k]:.1g}"
-        rows.append((KINDS[int(kind[k])].replace("_", " "), of, at, born, *sensitivity_cells(data, name, k)))
+        rows.append((KINDS[int(kind[k])].replace("_", " "), period_words, at, born, *sensitivity_cells(data, name, k)))
     heads = ("bifurcation", "period", name, "criticality", *sensitivity_heads(data, name))
     return Table("Bifurcations", heads, tuple(rows), left=(0, 3))
 
@@ -259,10 +261,10 @@ def orbit_coordinates(
     dims: tuple[str, ...],
 ) -> dict[str, Entry]:
     """Coordinates of the first point of every orbit, and under NAME_points of all of them."""
-    most = max((one.shape[1] for _, one in points), default=1)
+    most = max((orbit.shape[1] for _, orbit in points), default=1)
     columns, words = dict[str, dict[int, np.ndarray]](), dict[str, Output]()
     for number, part in enumerate(grown):
-        mine = [place for place, (of, _) in enumerate(points) if of == number]
+        mine = [place for place, (owner, _) in enumerate(points) if owner == number]
         for name, (output, rows) in _outputs(lanes, part.batch, [points[place][1] for place in mine]).items():
             words.setdefault(name, output)
             columns.setdefault(name, {}).update(zip(mine, rows, strict=True))
@@ -291,7 +293,7 @@ def _outputs(
     for name in (plot_plane(batch.system)[0], *batch.flow.coordinates):
         if name in named:
             parts = np.split(np.asarray(named[name].data)[:, 0], cuts) if flat else []
-            rows = [part.reshape(one.shape[:2]) for part, one in zip(parts, points, strict=True)]
+            rows = [part.reshape(orbits.shape[:2]) for part, orbits in zip(parts, points, strict=True)]
             coordinates[name] = named[name], rows
     return coordinates
 
@@ -315,8 +317,8 @@ def special_values(
     name: str, axis: Axis, values: Sequence[float], errors: Sequence[float], words: str, unknown: str = ""
 ) -> dict[str, Entry]:
     """A parameter at points of codimension two, with its error; `unknown` says when that is NaN."""
-    dim, of = "codimension_two", f"error of {name}{unknown}"
+    dim, error_name = "codimension_two", f"error of {name}{unknown}"
     return {
         name: variable(dim, np.array(values, float), words, axis.units, ancillary_variables=f"{name}_error"),
-        f"{name}_error": variable(dim, np.array(errors, float), of, axis.units),
+        f"{name}_error": variable(dim, np.array(errors, float), error_name, axis.units),
     }

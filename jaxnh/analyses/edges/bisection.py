@@ -46,25 +46,25 @@ class Space(NamedTuple):
     size: Float[np.ndarray, "lanes d"]
 
     def distance(
-        self, one: Float[np.ndarray, "n d"], other: Float[np.ndarray, "n d"], lane: Int[np.ndarray, " n"]
+        self, first: Float[np.ndarray, "n d"], second: Float[np.ndarray, "n d"], lane: Int[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
         """Return Euclid's distance between points of lanes, in sizes."""
-        return np.linalg.norm(self.batch.chart.wrap(one - other) / self.size[lane], axis=1)
+        return np.linalg.norm(self.batch.chart.wrap(first - second) / self.size[lane], axis=1)
 
 
 def label_points(
-    space: Space, of: Destinations, lanes: LaneRunner, u: Float[np.ndarray, "n d"], lane: Int[np.ndarray, " n"]
+    space: Space, targets: Destinations, lanes: LaneRunner, u: Float[np.ndarray, "n d"], lane: Int[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n d"], Int[np.ndarray, " n"]]:
     """Return points as constraints leave them, and the attractors that they lead to."""
     if not len(lane):
         return u, lane
     p = select(dict(space.batch.p), lane)
     moved, state = lanes(on_constraints, (space.batch.system,), (u, p), tile=TILE)
-    return np.array(moved), destinations(of, lanes, state, lane)
+    return np.array(moved), destinations(targets, lanes, state, lane)
 
 
 def narrow(
-    space: Space, of: Destinations, lanes: LaneRunner, pairs: Bracket, width: float | np.ndarray = WIDTH
+    space: Space, targets: Destinations, lanes: LaneRunner, pairs: Bracket, width: float | np.ndarray = WIDTH
 ) -> Bracket:
     """Return pairs of points not further apart than a width, about the first change of label on the way from `near`.
 
@@ -79,7 +79,7 @@ def narrow(
             break
         way = space.batch.chart.wrap(far[active] - near[active])
         points = near[active, None] + _SHARES[:, None] * way[:, None]
-        flat, labels = label_points(space, of, lanes, points.reshape(-1, points.shape[2]), lane[active].repeat(3))
+        flat, labels = label_points(space, targets, lanes, points.reshape(-1, points.shape[2]), lane[active].repeat(3))
         points = np.concatenate([near[active, None], flat.reshape(points.shape), far[active, None]], axis=1)
         labels = np.column_stack([near_label[active], labels.reshape(-1, len(_SHARES)), far_label[active]])
         same = labels == labels[:, :1]

@@ -112,7 +112,7 @@ def lane_attractors(
 
 
 def destinations(
-    of: Destinations, lanes: LaneRunner, state: State, lane: Int[np.ndarray, " states"]
+    targets: Destinations, lanes: LaneRunner, state: State, lane: Int[np.ndarray, " states"]
 ) -> Int[np.ndarray, " states"]:
     """Return the attractors that states of a flow lead to, by their places, or `ESCAPES` or `UNDECIDED`.
 
@@ -123,14 +123,14 @@ def destinations(
     """
     labels, before = np.full(len(lane), UNDECIDED), np.full(len(lane), UNDECIDED)
     active, elapsed, count = np.arange(len(lane)), 0, _LOOK
-    u, calm = np.full((len(lane), of.batch.chart.dimension), np.nan), np.zeros(len(lane), bool)
-    while len(active) and elapsed < of.most:
-        state = lanes.iterate(of.strobe, count, (state, select(dict(of.batch.p), lane[active])), tile=TILE)
-        new = of.batch.chart.host_points(state)
-        now = _nearest_attractor(of, new, lane[active])
+    u, calm = np.full((len(lane), targets.batch.chart.dimension), np.nan), np.zeros(len(lane), bool)
+    while len(active) and elapsed < targets.most:
+        state = lanes.iterate(targets.strobe, count, (state, select(dict(targets.batch.p), lane[active])), tile=TILE)
+        new = targets.batch.chart.host_points(state)
+        now = _nearest_attractor(targets, new, lane[active])
         now[~is_finite(state)] = ESCAPES
         with np.errstate(all="ignore"):  # of motions that go to infinity, or are at zero
-            moved = np.abs(of.batch.chart.wrap(new - u[active])) / np.max(np.abs(new), axis=1, keepdims=True)
+            moved = np.abs(targets.batch.chart.wrap(new - u[active])) / np.max(np.abs(new), axis=1, keepdims=True)
         still = np.all(moved < _STILL, axis=1)
         elsewhere = (now == UNDECIDED) & still & calm[active]
         done = (now == ESCAPES) | ((now >= 0) & (now == before[active])) | elsewhere
@@ -158,7 +158,7 @@ def _by_means(attractors: Attractors, places: Int[np.ndarray, " some"]) -> Int[n
 
 
 def _nearest_attractor(
-    of: Destinations, u: Float[np.ndarray, "states d"], lane: Int[np.ndarray, " states"]
+    targets: Destinations, u: Float[np.ndarray, "states d"], lane: Int[np.ndarray, " states"]
 ) -> Int[np.ndarray, " states"]:
     """Return the attractor that each point is nearest to, among those that it is near to."""
     now = np.full(len(lane), UNDECIDED)
@@ -166,7 +166,7 @@ def _nearest_attractor(
     for number in np.unique(lane[finite]).tolist():
         own = np.flatnonzero(finite & (lane == number))
         least = np.ones(len(own))
-        for place, target in enumerate(of.targets[number]):
+        for place, target in enumerate(targets.targets[number]):
             distance = _distance(target, u[own])
             nearer: Bool[np.ndarray, " own"] = distance < least
             now[own[nearer]], least[nearer] = place, distance[nearer]

@@ -45,7 +45,7 @@ def check(options: EdgesOptions, setting: Setting) -> None:
     """Check the box, and names."""
     if not options.box:
         raise OptionError("needs a box to draw its starts from", "box")
-    check_box(options.box, setting, "box")
+    check_box(options.box, setting)
     check_names("edges", OWN_NAMES, setting)
 
 
@@ -57,19 +57,19 @@ def run(options: EdgesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datase
         known = lane_attractors(
             many_timed, lanes, options.n_starts, options.transient, options.max_periods, options.max_period
         )
-    of = Destinations(timed, timed.strobe(), [lane.targets for lane in known], options.max_periods)
+    targets = Destinations(timed, timed.strobe(), [lane.targets for lane in known], options.max_periods)
     first = first_points(many, lanes)
     space = Space(batch, extent(batch, first.reshape(batch.count, options.n_starts, -1))[0])
     whole = Space(timed, _halves_of_box(options, batch))
     pairs = _pairs(known, first, options.pairs)
     with lanes.stage(f"edges: {len(pairs.lane):,} boundaries", 0):
-        states = track_edges(space, of, lanes, pairs, options.transient, options.max_returns, options.max_period)
+        states = track_edges(space, targets, lanes, pairs, options.transient, options.max_returns, options.max_period)
     shocks, tried = None, np.zeros(0, int)
     if options.directions:
-        begun = _points(known, options.shock_points, timed.chart.dimension)
+        start = _points(known, options.shock_points, timed.chart.dimension)
         directions = directions_in(timed.chart.dimension, options.directions, options.seed)
-        with lanes.stage(f"edges: shocks of {len(begun.lane):,} points", 0):
-            shocks, tried = least_shocks(whole, of, lanes, begun, directions, options.reach)
+        with lanes.stage(f"edges: shocks of {len(start.lane):,} points", 0):
+            shocks, tried = least_shocks(whole, targets, lanes, start, directions, options.reach)
     made = Edges(space, whole, known, pairs, states, shocks, tried)
     return xr.Dataset(variables(options, lanes, made), attrs=section_attrs(batch))
 
@@ -81,7 +81,7 @@ def _halves_of_box(options: EdgesOptions, batch: LaneBatch) -> Float[np.ndarray,
         for k in (0, 1)
     ]
     points = [corner.without_section() for corner in corners]
-    return extent(batch.without_section(), np.stack([of.chart.host_points(of.start) for of in points], axis=1))[0]
+    return extent(batch.without_section(), np.stack([lane.chart.host_points(lane.start) for lane in points], axis=1))[0]
 
 
 def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"], most: int) -> Bracket:
@@ -90,30 +90,32 @@ def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"]
     Starts are random, and so are pairs of them in the order in which they are drawn.
     """
     rows = list[tuple[int, int, int, int, int]]()
-    for lane, of in enumerate(known):
-        starts = len(of.labels)
+    for lane, points in enumerate(known):
+        starts = len(points.labels)
         finite = np.isfinite(first[lane * starts : (lane + 1) * starts]).all(axis=1)
-        groups = {int(k): np.flatnonzero((of.labels == k) & finite) for k in np.unique(of.labels) if k != UNDECIDED}
+        groups = {
+            int(k): np.flatnonzero((points.labels == k) & finite) for k in np.unique(points.labels) if k != UNDECIDED
+        }
         order = sorted((k for k in groups if len(groups[k])), key=lambda k: k if k >= 0 else MOST)
         twos = [(a, b) for j, b in enumerate(order) for a in order[:j]]
         for turn in range(most if twos else 0):
             a, b = twos[turn % len(twos)]
             turn //= len(twos)
-            one, other = groups[a][turn % len(groups[a])], groups[b][turn % len(groups[b])]
-            rows.append((lane, lane * starts + int(one), lane * starts + int(other), a, b))
-    lane, one, other, near, far = np.array(rows, int).reshape(-1, 5).T
-    return Bracket(lane, first[one], first[other], near, far)
+            near_start, far_start = groups[a][turn % len(groups[a])], groups[b][turn % len(groups[b])]
+            rows.append((lane, lane * starts + int(near_start), lane * starts + int(far_start), a, b))
+    lane, near_start, far_start, near, far = np.array(rows, int).reshape(-1, 5).T
+    return Bracket(lane, first[near_start], first[far_start], near, far)
 
 
 def _points(known: Sequence[LaneAttractors], most: int, d: int) -> Shocks:
     """Return points of all attractors, evenly over the motion on each, as shocks that are not known yet."""
     lane, attractor, point, base = list[int](), list[int](), list[int](), [np.zeros((0, d))]
-    for number, of in enumerate(known):
-        for place in range(len(of.targets)):
-            assert of.attractors is not None
-            turns = turns_of(of.attractors, place)
+    for number, known_lane in enumerate(known):
+        for place in range(len(known_lane.targets)):
+            assert known_lane.attractors is not None
+            turns = turns_of(known_lane.attractors, place)
             chosen = np.unique(np.linspace(0, turns - 1, min(turns, most)).round().astype(int))
-            base.append(of.attractors.points[place, chosen])
+            base.append(known_lane.attractors.points[place, chosen])
             lane += [number] * len(chosen)
             attractor += [place] * len(chosen)
             point += chosen.tolist()

@@ -75,9 +75,9 @@ def directions_in(dimension: int, count: int, seed: int) -> Float[np.ndarray, "d
 
 def least_shocks(
     space: Space,
-    of: Destinations,
+    targets: Destinations,
     lanes: LaneRunner,
-    begun: Shocks,
+    start: Shocks,
     directions: Float[np.ndarray, "directions d"],
     reach: float,
 ) -> tuple[Shocks, Int[np.ndarray, " shocks"]]:
@@ -87,9 +87,9 @@ def least_shocks(
         directions: unit vectors that are tried from each point.
         reach: longest length that is looked at, in sizes.
     """
-    count, each = len(begun.lane), len(directions)
-    every = begun.take(np.repeat(np.arange(count), each))
-    tried = _shocks(space, of, lanes, every, np.tile(directions, (count, 1)), np.full(count * each, reach))
+    count, each = len(start.lane), len(directions)
+    every = start.take(np.repeat(np.arange(count), each))
+    tried = _shocks(space, targets, lanes, every, np.tile(directions, (count, 1)), np.full(count * each, reach))
     group = np.unique(np.column_stack([tried.lane, tried.attractor]), axis=0, return_inverse=True)[1].ravel()
     order = np.lexsort((np.nan_to_num(tried.length, nan=np.inf), group))
     of_each = np.bincount(group)
@@ -98,8 +98,8 @@ def least_shocks(
     for _ in range(_PASSES):
         if not left.any():
             break
-        refined = _refine(space, of, lanes, best.take(left))
-        nearer = _in_front(space, of, lanes, refined)
+        refined = _refine(space, targets, lanes, best.take(left))
+        nearer = _in_front(space, targets, lanes, refined)
         strips = np.isfinite(nearer.length)
         best.put(left, refined)
         left[left] = strips
@@ -110,60 +110,62 @@ def least_shocks(
 
 def _shocks(
     space: Space,
-    of: Destinations,
+    targets: Destinations,
     lanes: LaneRunner,
-    begun: Shocks,
+    start: Shocks,
     directions: Float[np.ndarray, "shocks d"],
     reach: Float[np.ndarray, " shocks"],
 ) -> Shocks:
     """Return the first shock in one direction from each point, of a length up to its reach."""
-    count, d = begun.base.shape
+    count, d = start.base.shape
     shares = np.arange(1, _ROW + 1) / _ROW
-    way = directions * space.size[begun.lane]
-    points = begun.base[:, None] + (shares * reach[:, None])[:, :, None] * way[:, None]
-    flat, labels = label_points(space, of, lanes, points.reshape(-1, d), np.repeat(begun.lane, _ROW))
+    way = directions * space.size[start.lane]
+    points = start.base[:, None] + (shares * reach[:, None])[:, :, None] * way[:, None]
+    flat, labels = label_points(space, targets, lanes, points.reshape(-1, d), np.repeat(start.lane, _ROW))
     points, labels = flat.reshape(points.shape), labels.reshape(count, _ROW)
-    points = np.concatenate([begun.base[:, None], points], axis=1)
-    labels = np.column_stack([begun.attractor, labels])
+    points = np.concatenate([start.base[:, None], points], axis=1)
+    labels = np.column_stack([start.attractor, labels])
     same = labels == labels[:, :1]
     changed = ~same & (labels != UNDECIDED)
     crossing = np.flatnonzero(changed.any(axis=1))
     first = np.argmax(changed, axis=1)[crossing]
     last = np.max(np.where(same[crossing] & (np.arange(_ROW + 1) < first[:, None]), np.arange(_ROW + 1), 0), axis=1)
     pairs = Bracket(
-        begun.lane[crossing], points[crossing, last], points[crossing, first],
-        begun.attractor[crossing], labels[crossing, first],
+        start.lane[crossing], points[crossing, last], points[crossing, first],
+        start.attractor[crossing], labels[crossing, first],
     )  # fmt: skip
-    pairs = narrow(space, of, lanes, pairs)
+    pairs = narrow(space, targets, lanes, pairs)
     good = (space.distance(pairs.near, pairs.far, pairs.lane) <= WIDTH) & (pairs.far_label != UNDECIDED)
     crossing, pairs = crossing[good], Bracket(*(leaf[good] for leaf in pairs))
     displacement, length, to = np.full((count, d), np.nan), np.full(count, np.nan), np.full(count, UNDECIDED)
-    displacement[crossing] = space.batch.chart.wrap(pairs.far - begun.base[crossing])
-    length[crossing] = space.distance(pairs.far, begun.base[crossing], pairs.lane)
+    displacement[crossing] = space.batch.chart.wrap(pairs.far - start.base[crossing])
+    length[crossing] = space.distance(pairs.far, start.base[crossing], pairs.lane)
     to[crossing] = pairs.far_label
-    return begun._replace(displacement=displacement, length=length, to=to, error=np.full(count, WIDTH))
+    return start._replace(displacement=displacement, length=length, to=to, error=np.full(count, WIDTH))
 
 
-def _refine(space: Space, of: Destinations, lanes: LaneRunner, best: Shocks) -> Shocks:
+def _refine(space: Space, targets: Destinations, lanes: LaneRunner, best: Shocks) -> Shocks:
     """Return shocks as short as any near them, with errors: of the search and of the map."""
     count, k = len(best.lane), best.base.shape[1] - 1
     pairs = [(i, j) for i in range(k) for j in range(i)]
     units, gain = np.eye(k), np.zeros(count)
     turns = np.concatenate([units, -units, *([units[i] + units[j]] for i, j in pairs)])
     for angle in _ANGLES if k else ():
-        here = _directions(space, best)
-        basis = np.array([_orthogonal(direction) for direction in here])
-        around = _shocks_along(space, of, lanes, best, _turned(here, basis, np.tile(angle * turns, (count, 1, 1))))
+        directions = _directions(space, best)
+        basis = np.array([_orthogonal(direction) for direction in directions])
+        around = _shocks_along(
+            space, targets, lanes, best, _turned(directions, basis, np.tile(angle * turns, (count, 1, 1)))
+        )
         turn = _newton_turn(best.length, around.length.reshape(count, -1), pairs, k, angle)
-        moved = _shocks_along(space, of, lanes, best, _turned(here, basis, turn[:, None]))
+        moved = _shocks_along(space, targets, lanes, best, _turned(directions, basis, turn[:, None]))
         before, best = best.length, _shortest(best, around, moved)
         gain = before - best.length
-    fine = _shocks_along(space, of.refined(2), lanes, best, _directions(space, best)[:, None])
+    fine = _shocks_along(space, targets.refined(2), lanes, best, _directions(space, best)[:, None])
     off = np.nan_to_num(np.abs(fine.length - best.length), nan=np.inf)
     return best._replace(error=WIDTH + _COVER * gain + off)
 
 
-def _in_front(space: Space, of: Destinations, lanes: LaneRunner, best: Shocks) -> Shocks:
+def _in_front(space: Space, targets: Destinations, lanes: LaneRunner, best: Shocks) -> Shocks:
     """Return shocks to the first strip of another basin in front of each boundary; not numbers where there is none.
 
     The error of the shocks that are given becomes at least the distance from what is not decided in front of them.
@@ -171,7 +173,7 @@ def _in_front(space: Space, of: Destinations, lanes: LaneRunner, best: Shocks) -
     count, d = best.base.shape
     length, way = best.length[:, None] * (1.0 - _IN_FRONT), best.displacement / best.length[:, None]
     points = (best.base[:, None] + length[:, :, None] * way[:, None]).reshape(-1, d)
-    labels = label_points(space, of, lanes, points, np.repeat(best.lane, len(_IN_FRONT)))[1].reshape(count, -1)
+    labels = label_points(space, targets, lanes, points, np.repeat(best.lane, len(_IN_FRONT)))[1].reshape(count, -1)
     other, row = labels != best.attractor[:, None], np.arange(count)
     undecided = other & (labels == UNDECIDED)  # as basins of attractors that no start has led to
     gap = np.where(undecided.any(axis=1), best.length - length[row, np.argmax(undecided, axis=1)], 0.0)
@@ -182,7 +184,7 @@ def _in_front(space: Space, of: Destinations, lanes: LaneRunner, best: Shocks) -
     nearer = Shocks(*map(np.array, best))._replace(length=np.full(count, np.nan))
     if len(known):
         directions = _directions(space, best)[known]
-        nearer.put(known, _shocks(space, of, lanes, best.take(known), directions, reach[known]))
+        nearer.put(known, _shocks(space, targets, lanes, best.take(known), directions, reach[known]))
     return nearer
 
 
@@ -196,12 +198,12 @@ def _shortest(*parts: Shocks) -> Shocks:
 
 
 def _shocks_along(
-    space: Space, of: Destinations, lanes: LaneRunner, best: Shocks, directions: Float[np.ndarray, "shocks some d"]
+    space: Space, targets: Destinations, lanes: LaneRunner, best: Shocks, directions: Float[np.ndarray, "shocks some d"]
 ) -> Shocks:
     """Return the shocks in some directions from the point of each shock, about as long as it."""
     some = directions.shape[1]
     each = best.take(np.repeat(np.arange(len(best.lane)), some))
-    return _shocks(space, of, lanes, each, directions.reshape(-1, directions.shape[2]), _BEYOND * each.length)
+    return _shocks(space, targets, lanes, each, directions.reshape(-1, directions.shape[2]), _BEYOND * each.length)
 
 
 def _directions(space: Space, best: Shocks) -> Float[np.ndarray, "shocks d"]:

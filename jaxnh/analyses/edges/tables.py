@@ -76,9 +76,9 @@ def variables(options: EdgesOptions, lanes: LaneRunner, made: Edges) -> dict[str
     entries = _of_attractors(made, lanes) | _of_pairs(options, made, lanes)
     if made.shocks is not None:
         entries |= _of_shocks(made, lanes, made.shocks)
-    labels = [np.unique(of.labels[of.labels != UNDECIDED]) for of in made.known]
-    status = [NOT_FINITE if not np.any(of >= 0) else len(STATUS) if len(of) == 1 else 0 for of in labels]
-    undecided = [not len(of) for of in labels]
+    labels = [np.unique(known.labels[known.labels != UNDECIDED]) for known in made.known]
+    status = [NOT_FINITE if not np.any(known >= 0) else len(STATUS) if len(known) == 1 else 0 for known in labels]
+    undecided = [not len(known) for known in labels]
     status = np.where(undecided, len(STATUS) + 1, status)
     words = "whether the lane has edges, or why not"
     entries["status"] = flag(LANE, status, words, (*STATUS, "one_attractor", "no_attractor"))
@@ -90,13 +90,13 @@ def _of_attractors(made: Edges, lanes: LaneRunner) -> dict[str, Entry]:
     dims, shape = (LANE, "attractor"), (count, MOST)
     kind, period = np.full(shape, -1, np.int8), np.zeros(shape, np.int32)
     share, point = np.full(shape, np.nan), np.full((*shape, d), np.nan)
-    for lane, of in enumerate(made.known):
-        if of.attractors is None:
+    for lane, known in enumerate(made.known):
+        if known.attractors is None:
             continue
-        some = len(of.targets)
-        kind[lane, :some], period[lane, :some] = of.attractors.kind, of.attractors.period
-        share[lane, :some] = [np.mean(of.labels == k) for k in range(some)]
-        point[lane, :some] = of.attractors.points[:, 0]
+        some = len(known.targets)
+        kind[lane, :some], period[lane, :some] = known.attractors.kind, known.attractors.period
+        share[lane, :some] = [np.mean(known.labels == k) for k in range(some)]
+        point[lane, :some] = known.attractors.points[:, 0]
     of_period, unit = "least period of a periodic attractor", iterate_units(made.whole.batch.system)
     number = np.arange(1, MOST + 1, dtype=np.int32)
     return {
@@ -252,17 +252,17 @@ def _attractor(dims: Sequence[str], numbers: np.ndarray, words: str) -> Entry:
     return number_variable(dims, numbers, words, _SPECIAL, -1)
 
 
-def _quotient(one: Entry, other: Entry, over: float) -> Entry:
+def _quotient(numerator: Entry, denominator: Entry, over: float) -> Entry:
     """Return the difference of two variables of points over a step."""
-    return one[0], (one[1] - other[1]) / over, one[2]
+    return numerator[0], (numerator[1] - denominator[1]) / over, numerator[2]
 
 
-def _sum_of_changes(one: Entry, others: Sequence[Entry]) -> Entry:
+def _sum_of_changes(value: Entry, others: Sequence[Entry]) -> Entry:
     """Return the error of a variable of points: the sum of its differences from others."""
     return (
-        one[0],
-        np.sum([np.abs(one[1] - other[1]) for other in others], axis=0),
-        one[2] | {"long_name": f"error of the {one[2]['long_name']}"},
+        value[0],
+        np.sum([np.abs(value[1] - other[1]) for other in others], axis=0),
+        value[2] | {"long_name": f"error of the {value[2]['long_name']}"},
     )
 
 

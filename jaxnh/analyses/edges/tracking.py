@@ -58,7 +58,7 @@ class EdgeStates(NamedTuple):
 
 def track_edges(
     space: Space,
-    of: Destinations,
+    targets: Destinations,
     lanes: LaneRunner,
     pairs: Bracket,
     transient: int,
@@ -79,7 +79,7 @@ def track_edges(
     until = transient
     while True:
         while len(active := np.flatnonzero((kind == UNSETTLED) & (returns < until))):
-            _follow(space, of, lanes, pairs, active, states)
+            _follow(space, targets, lanes, pairs, active, states)
         left = np.flatnonzero(kind == UNSETTLED)
         _close(space, lanes, pairs.lane, left, states)
         until *= 2
@@ -92,32 +92,32 @@ def track_edges(
 
 def _follow(
     space: Space,
-    of: Destinations,
+    targets: Destinations,
     lanes: LaneRunner,
     pairs: Bracket,
     active: Int[np.ndarray, " active"],
     states: EdgeStates,
 ) -> None:
     """Bring pairs together and carry them on until they are apart, in place."""
-    near = narrow(space, of, lanes, Bracket(*(leaf[active] for leaf in pairs)))
+    near = narrow(space, targets, lanes, Bracket(*(leaf[active] for leaf in pairs)))
     for leaf, new in zip(pairs, near, strict=True):
         leaf[active] = new
     lane = pairs.lane[active]
     lost = ~(space.distance(near.near, near.far, lane) <= 2 * WIDTH)
     both = _carry(space, lanes, np.concatenate([near.near, near.far]), np.tile(lane, 2))
-    one, other = both[: len(active)], both[len(active) :]
+    first, second = both[: len(active)], both[len(active) :]
     with np.errstate(over="ignore"):  # of motions that go to infinity
-        gap = np.linalg.norm(space.batch.chart.wrap(one - other) / space.size[lane][:, None], axis=2)
+        gap = np.linalg.norm(space.batch.chart.wrap(first - second) / space.size[lane][:, None], axis=2)
     known = np.cumsum(~np.isfinite(gap), axis=1) == 0
     steps = np.where(known & (gap < _APART), 1, 0).cumprod(axis=1).sum(axis=1)  # returns before they are apart
     last = np.minimum(steps, known.sum(axis=1) - 1)
     row = np.arange(len(active))
     lost |= (last < 0) | ~(gap[row, last] < _JUMP)
     last = np.minimum(np.maximum(last, 0), _STRETCH - 1)
-    pairs.near[active], pairs.far[active] = one[row, last], other[row, last]
+    pairs.near[active], pairs.far[active] = first[row, last], second[row, last]
     states.kind[active[lost]] = LOST
     for k, pair in enumerate(active.tolist()):
-        new = one[k, : last[k] + 1]
+        new = first[k, : last[k] + 1]
         states.path[pair] = np.concatenate([states.path[pair], new])[-PATH:]
     states.returns[active] += last + 1
 
@@ -145,14 +145,16 @@ def _close(
     least = np.where(close.any(axis=0), np.argmax(close, axis=0) + 1, 0)
     for n in np.unique(least[least > 0]).tolist():
         own = left[least == n]
-        of, stretch = lane[own], states.path[own, -n:]
-        orbits = orbits_from_afar(map_of_lanes(batch, lanes, batch.strobe()), stretch, of, space.size[of], wrap)
-        near = np.abs(wrap(orbits.points - stretch) / space.size[of][:, None]).max(axis=(1, 2)) < _ARRIVED
+        lanes_of, stretch = lane[own], states.path[own, -n:]
+        orbits = orbits_from_afar(
+            map_of_lanes(batch, lanes, batch.strobe()), stretch, lanes_of, space.size[lanes_of], wrap
+        )
+        near = np.abs(wrap(orbits.points - stretch) / space.size[lanes_of][:, None]).max(axis=(1, 2)) < _ARRIVED
         good = np.flatnonzero(orbits.converged & near)
         if not len(good):
             continue
-        p, of = parameters_of(batch, of[good]), of[good]
-        germs = find_germs(batch, lanes, batch.strobe(), p, orbits.points[good], space.size[of])
+        p, lanes_of = parameters_of(batch, lanes_of[good]), lanes_of[good]
+        germs = find_germs(batch, lanes, batch.strobe(), p, orbits.points[good], space.size[lanes_of])
         saddle = np.isfinite(germs.multiplier).reshape(-1, n).all(axis=1)
         own, good = own[good[saddle]], good[saddle]
         rests = n == 1 and batch.flow is batch.system and batch.flow.autonomous
@@ -165,13 +167,13 @@ def _neighbours_part(space: Space, lane: int, path: Float[np.ndarray, "points d"
     path = path[np.isfinite(path).all(axis=1)]
     count = len(path) - _LAGS
 
-    def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return np.abs(space.batch.chart.wrap(path[one] - path[other]) / space.size[lane]).max(axis=-1)
+    def apart(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return np.abs(space.batch.chart.wrap(path[first] - path[second]) / space.size[lane]).max(axis=-1)
 
     number = np.arange(count)
     distance = apart(number[:, None], number[None, :])
     distance[np.abs(number[:, None] - number[None, :]) < 2] = np.inf
     nearest = np.argmin(distance, axis=1)
-    begun = np.maximum(distance[number, nearest], _FLOOR)
-    growth = [np.median(apart(number + lag, nearest + lag) / begun) for lag in range(1, _LAGS + 1)]
+    start = np.maximum(distance[number, nearest], _FLOOR)
+    growth = [np.median(apart(number + lag, nearest + lag) / start) for lag in range(1, _LAGS + 1)]
     return bool(np.max(growth) > _GROWS)

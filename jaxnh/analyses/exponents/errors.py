@@ -63,10 +63,10 @@ def average_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:
     return Average(np.where(vanished, -np.inf, mean), np.where(vanished, 0.0, np.maximum(error, high - low)))
 
 
-def change(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def change(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return how far two estimates of exponents are from each other, of which some may be −∞."""
     with np.errstate(invalid="ignore"):
-        return np.where(one == other, 0.0, np.abs(one - other))
+        return np.where(first == second, 0.0, np.abs(first - second))
 
 
 def smooth_parts(growth: TangentState, block: int, number: int) -> Float[np.ndarray, "lanes 3 sums"]:

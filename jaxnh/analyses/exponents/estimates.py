@@ -25,7 +25,7 @@ class Averages(NamedTuple):
     """Averages of lanes.
 
     Attributes:
-        begun: states where the averages begin.
+        start: states where the averages begin.
         growth: of every lane at its end.
         rates: growth a period in every block that was run: of the flow's direction without a clock, of each tangent,
             of volume, and of volume by quadrature, (lanes, blocks, sums).
@@ -34,7 +34,7 @@ class Averages(NamedTuple):
         settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
     """
 
-    begun: LaneStates
+    start: LaneStates
     growth: TangentState
     rates: Float[np.ndarray, "lanes blocks sums"]
     smooth: Float[np.ndarray, "lanes 3 sums"]
@@ -92,9 +92,9 @@ def area_growth(batch: LaneBatch, lanes: LaneRunner, averages: Averages) -> Floa
     if not isinstance(flow, Lagrangian) or not flow.constrained:
         return np.zeros(batch.count)
     with np.errstate(invalid="ignore", divide="ignore"):
-        begun, ended = (
+        start, end = (
             log_area(flow, np.asarray(lanes(constraint_gradients, shared, (state, dict(batch.p)))))
-            for state in (averages.begun, averages.growth.state)
+            for state in (averages.start, averages.growth.state)
         )
-        grown = ended - begun
+        grown = end - start
     return np.where(np.isfinite(grown), grown, 0.0)

@@ -138,7 +138,7 @@ def averages(
         if len(others):
             part, part_p = select((growth, p), others)
             _write_lanes(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
-    begun = jax.tree.map(np.array, growth.state)
+    start = jax.tree.map(np.array, growth.state)
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
     smooth = np.zeros((count, 3, lead + k + 1))
     done = np.zeros(count, int)
@@ -167,7 +167,7 @@ def averages(
                 running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
-    return Averages(begun, growth, rates, smooth, done, settled)
+    return Averages(start, growth, rates, smooth, done, settled)
 
 
 def _stretches(options: LyapunovOptions) -> list[range]:
@@ -342,11 +342,11 @@ def _sum_and_dimension(
     words = "sum of all exponents, of averages by the growth of volume"
     # Without a clock the exponent along the flow counts as well.
     of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
-    of = "of the flow" if batch.flow.autonomous else of_strobes
+    source = "of the flow" if batch.flow.autonomous else of_strobes
     return {
         "exponent_sum": variable(LANE, total.mean / period, words, **rate),
         "exponent_sum_error": variable(LANE, total.error / period, "error of the sum at 95 %", **rate),
-        "kaplan_yorke": variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {of}"),
+        "kaplan_yorke": variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {source}"),
     }
 
 
@@ -363,11 +363,11 @@ def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgr
         return map_alone(batch)
     state, p = batch.lanes
     state = jax.tree.map(jnp.asarray, state)
-    begun = jax.vmap(lambda z: begin(batch.flow, z, k))(state)
+    start = jax.vmap(lambda z: begin(batch.flow, z, k))(state)
     strobes = cut_period(batch, parts)
     shared = (strobes, None, np.int32(1), np.float64(0.0))
     return PricedProgram(
-        advance, shared, (jax.tree.map(np.asarray, begun), p), (1.0, float(parts), *strobes.trip_counts)
+        advance, shared, (jax.tree.map(np.asarray, start), p), (1.0, float(parts), *strobes.trip_counts)
     )
 
 

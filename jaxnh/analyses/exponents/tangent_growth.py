@@ -121,24 +121,24 @@ def split_stack(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:
     """Split a stack into stacks of one map, padded like those of `roomy`, so that one program serves both."""
 
     def row(leaf: ArrayLike, like: ArrayLike, k: int) -> np.ndarray:
-        one = np.asarray(leaf)[k : k + 1]
-        more = [(0, full - own) for full, own in zip(np.shape(like), one.shape, strict=True)]
-        return np.pad(one, more, mode="edge")
+        part = np.asarray(leaf)[k : k + 1]
+        more = [(0, full - own) for full, own in zip(np.shape(like), part.shape, strict=True)]
+        return np.pad(part, more, mode="edge")
 
     count = len(np.asarray(jax.tree.leaves(strobes)[0]))
     return [jax.tree.map(functools.partial(row, k=k), strobes, roomy) for k in range(count)]
 
 
 def average(
-    lanes: LaneRunner, strobes: Maps, growth: TangentState, p: Parameters, count: int, begun: float = 0.0
+    lanes: LaneRunner, strobes: Maps, growth: TangentState, p: Parameters, count: int, first: float = 0.0
 ) -> tuple[TangentState, Float[np.ndarray, "lanes sums"]]:
     """Advance lanes by `count` periods; return growth a period of tangents, of volume, and of volume by quadrature.
 
-    `begun` is the share of the whole average that is over, for the smooth windows.
+    `first` is the share of the whole average that is over, for the smooth windows.
     """
     if not count:
         return growth, np.full((len(growth.volume), len(growth.logs) + 2), np.nan)
-    [(growth, grown)] = averages_in_turn(lanes, strobes, growth, p, count, (begun,))
+    [(growth, grown)] = averages_in_turn(lanes, strobes, growth, p, count, (first,))
     return growth, grown
 
 
@@ -148,22 +148,21 @@ def averages_in_turn(
     growth: TangentState,
     p: Parameters,
     count: int,
-    begun: Sequence[float],
+    firsts: Sequence[float],
     quadrature: Quadrature | ParameterFamily[Quadrature] | None = None,
-    tile: int | None = None,
 ) -> list[tuple[TangentState, Float[np.ndarray, "lanes sums"]]]:
-    """Advance lanes by `count` periods again and again, a time for each `begun`; return after each what `average` does.
+    """Advance lanes by `count` periods, a time for each of `firsts`; return after each what `average` does.
 
     Tangents stay on the device: only the last of these states has any.
     """
     strobes, parts = (strobes, 1) if quadrature else _one_part(strobes)
     links = [
         Link(advance, (strobes, quadrature, np.int32(count * parts), np.float64(share)), (), count, _sums)
-        for share in begun
+        for share in firsts
     ]
     links[-1] = links[-1]._replace(keep=keep_all)
     averages = []
-    for after in lanes.chain(links, (growth, p), tile=tile):
+    for after in lanes.chain(links, (growth, p)):
         grown = np.stack([*after.logs, after.volume, after.divergence], axis=-1) / count
         grown[~is_finite(after.state)] = np.nan  # lost lanes have tangents of length zero, whose logarithm is none
         averages.append((after, grown))
@@ -171,7 +170,7 @@ def averages_in_turn(
 
 
 def _sums(growth: TangentState) -> tuple[TangentState, TangentState]:
-    """All of a lane for the next periods, and what averages are made of."""
+    """The whole state for the next periods, and its part that averages are made of."""
     return growth, growth._replace(tangents=(), loss=())
 
 
@@ -207,7 +206,7 @@ def advance(
     strobes: ReturnMap,
     quadrature: Quadrature | None,
     count: ArrayLike,
-    begun: ArrayLike,
+    first: ArrayLike,
     growth: TangentState,
     p: Parameters,
 ) -> TangentState:
@@ -241,7 +240,7 @@ def advance(
     def period(i: Array, growth: TangentState) -> TangentState:
         after, _ = lax.scan(part, growth, strobes)
         grown = [new - old for new, old in zip((*after.logs, after.volume), (*growth.logs, growth.volume), strict=True)]
-        at = begun + (jnp.float64(i) + 0.5) / (jnp.float64(count) * BLOCKS)
+        at = first + (jnp.float64(i) + 0.5) / (jnp.float64(count) * BLOCKS)
         smooth = tuple(
             tuple(sum_ + weight * g for sum_, g in zip(sums, grown, strict=True))
             for weight, sums in zip(half_window_weights(at), growth.smooth, strict=True)
@@ -322,8 +321,8 @@ def _gram_schmidt_in_loop(vectors: Sequence[Vector]) -> tuple[tuple[Vector, ...]
         left = jnp.where(numbers > k, across, jnp.where(numbers == k, unit, left))
         return left, squares.at[k].set(square[0])
 
-    begun = components, jnp.ones_like(components[:, 0])
-    units, squares = lax.fori_loop(0, len(vectors), normalise, begun)
+    start = components, jnp.ones_like(components[:, 0])
+    units, squares = lax.fori_loop(0, len(vectors), normalise, start)
     logs = 0.5 * jnp.log(squares)
     return tuple(tuple(unit) for unit in units), tuple(logs)
 

@@ -110,14 +110,14 @@ def grow_branches(
 ) -> BranchSet:
     """Return all branches of saddles, up to an arc length."""
     p, scale, wrap = parameters_of(batch, saddles.lane), size[saddles.lane], batch.chart.wrap
-    germs = [find_germs(batch, lanes, of, p, saddles.points, scale, side.backward) for of in side.maps]
+    germs = [find_germs(batch, lanes, maps, p, saddles.points, scale, side.backward) for maps in side.maps]
     turned = np.sum(germs[0].directions * germs[1].directions, axis=1) < 0.0
     germs[1] = germs[1]._replace(directions=np.where(turned[:, None], -1.0, 1.0) * germs[1].directions)
     n = saddles.points.shape[1]
     each = {name: np.repeat(values, 2 * n) for name, values in p.items()}
     curves, fine = (
-        curves_of(of, each, _both(of_map), n, np.repeat(scale, 2 * n, axis=0), again=again)
-        for of, of_map, again in zip(side.maps, germs, (False, True), strict=True)
+        curves_of(maps, each, _both(of_map), n, np.repeat(scale, 2 * n, axis=0), again=again)
+        for maps, of_map, again in zip(side.maps, germs, (False, True), strict=True)
     )
     branches = grow(lanes, curves, wrap, length, spacing, most)
     deviation = np.full(len(branches), np.nan)

@@ -71,12 +71,12 @@ def crossing_segments(
 ) -> Meetings:
     """Return where segments between points of branches cross, by arc length, for so many crossings to be known."""
     parts = list[Meetings]()
-    for number, one in unstable:
+    for number, curve in unstable:
         for other_number, other in stable:
-            first, second, share, other_share = _crossed(one.points[1:], other.points[1:], size, wrap, angles)
+            first, second, share, other_share = _crossed(curve.points[1:], other.points[1:], size, wrap, angles)
             count = len(first)
-            x = np.stack([_interpolate(one.x, first, share), _interpolate(other.x, second, other_share)], axis=1)
-            arc = _interpolate(one.arc, first, share) + _interpolate(other.arc, second, other_share)
+            x = np.stack([_interpolate(curve.x, first, share), _interpolate(other.x, second, other_share)], axis=1)
+            arc = _interpolate(curve.arc, first, share) + _interpolate(other.arc, second, other_share)
             parts.append(Meetings(np.full(count, number), np.full(count, other_number), x, arc))
     every = joined(parts)
     return take(every, np.argsort(every.arc, kind="stable")[: _CANDIDATES * most])
@@ -94,7 +94,7 @@ def distinct_orbits(meetings: Meetings, curves: tuple[Curves, Curves], same: flo
         same: of x, how far images may be from where they should be.
     """
     numbers = meetings.unstable, meetings.stable
-    flips = [of.multiplier[which] < 0.0 for of, which in zip(curves, numbers, strict=True)]
+    flips = [curve.multiplier[which] < 0.0 for curve, which in zip(curves, numbers, strict=True)]
     passed, total, kept = meetings.x[:, 0], meetings.x.sum(axis=1), list[int]()
     for i in range(len(total)):
         others = np.array(kept, int)
@@ -119,7 +119,9 @@ def refine_crossings(lanes: LaneRunner, curves: tuple[Curves, Curves], meetings:
     size, numbers = curves[0].size[meetings.unstable], (meetings.unstable, meetings.stable)
     points, angle, rest = np.full((count, 2), np.nan), np.full(count, np.nan), np.zeros(count, bool)
     for _ in range(_STEPS if count else 0):
-        at = [tangents(lanes, of, which, x[:, k]) for k, (of, which) in enumerate(zip(curves, numbers, strict=True))]
+        at = [
+            tangents(lanes, curve, which, x[:, k]) for k, (curve, which) in enumerate(zip(curves, numbers, strict=True))
+        ]
         gap = wrap(at[0][0] - at[1][0]) / size
         matrix = np.stack([at[0][1] / size, -at[1][1] / size], axis=2)
         area, product = _cross(matrix[:, :, 0], matrix[:, :, 1]), np.sum(matrix[:, :, 0] * matrix[:, :, 1], axis=1)
@@ -134,17 +136,17 @@ def refine_crossings(lanes: LaneRunner, curves: tuple[Curves, Curves], meetings:
 
 
 def _crossed(
-    one: Float[np.ndarray, "n 2"], other: Float[np.ndarray, "m 2"], size: np.ndarray, wrap: Wrap, angles: bool
+    curve: Float[np.ndarray, "n 2"], other_curve: Float[np.ndarray, "m 2"], size: np.ndarray, wrap: Wrap, angles: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return numbers of segments of two curves that cross, and the shares of both where they do."""
-    first, second = _near_blocks(one, other, angles)
+    first, second = _near_blocks(curve, other_curve, angles)
     results = [(np.zeros(0, int), np.zeros(0, int), np.zeros(0), np.zeros(0))]
-    way, other_way = wrap(np.diff(one, axis=0)) / size, wrap(np.diff(other, axis=0)) / size
+    way, other_way = wrap(np.diff(curve, axis=0)) / size, wrap(np.diff(other_curve, axis=0)) / size
     for i, j in zip(first, second, strict=True):
         a = np.arange(i * _BLOCK, min((i + 1) * _BLOCK, len(way)))
         b = np.arange(j * _BLOCK, min((j + 1) * _BLOCK, len(other_way)))
         r, w = way[a][:, None], other_way[b][None]
-        between = wrap(other[b][None] - one[a][:, None]) / size
+        between = wrap(other_curve[b][None] - curve[a][:, None]) / size
         with np.errstate(divide="ignore", invalid="ignore"):
             area = _cross(r, w)
             share, other_share = _cross(between, w) / area, _cross(between, r) / area
@@ -154,21 +156,21 @@ def _crossed(
     return tuple(np.concatenate(leaves) for leaves in zip(*results, strict=True))  # pyright: ignore[reportReturnType]
 
 
-def _near_blocks(one: np.ndarray, other: np.ndarray, angles: bool) -> tuple[np.ndarray, np.ndarray]:
+def _near_blocks(first: np.ndarray, second: np.ndarray, angles: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return pairs of blocks of segments whose boxes overlap; where there are angles all pairs."""
     boxes = [
         [
-            (of[k : k + _BLOCK + 1].min(axis=0), of[k : k + _BLOCK + 1].max(axis=0))
-            for k in range(0, max(len(of) - 1, 0), _BLOCK)
+            (curve[k : k + _BLOCK + 1].min(axis=0), curve[k : k + _BLOCK + 1].max(axis=0))
+            for k in range(0, max(len(curve) - 1, 0), _BLOCK)
         ]
-        for of in (one, other)
+        for curve in (first, second)
     ]
     if not boxes[0] or not boxes[1]:
         return np.zeros(0, int), np.zeros(0, int)
     (low, high), (other_low, other_high) = (np.swapaxes(np.array(each), 0, 1) for each in boxes)
     overlap = (low[:, None] <= other_high[None]) & (other_low[None] <= high[:, None])
-    first, second = np.nonzero(np.all(overlap, axis=2) | angles)
-    return first, second
+    blocks, other_blocks = np.nonzero(np.all(overlap, axis=2) | angles)
+    return blocks, other_blocks
 
 
 def _interpolate(values: Float[np.ndarray, " points"], segment: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -176,5 +178,5 @@ def _interpolate(values: Float[np.ndarray, " points"], segment: np.ndarray, shar
     return values[segment + 1] + share * (values[segment + 2] - values[segment + 1])
 
 
-def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]

@@ -84,9 +84,9 @@ class BranchRim:
         """Return that there is no corner but those of motions."""
         return 0
 
-    def between(self, one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "pairs 1"]:
+    def between(self, first: np.ndarray, second: np.ndarray) -> Float[np.ndarray, "pairs 1"]:
         """Return places between two; next to the cycle a turn of it nearer."""
-        return np.where(np.isfinite(one), 0.5 * (one + other), other - 1.0)
+        return np.where(np.isfinite(first), 0.5 * (first + second), second - 1.0)
 
     def begin(self, places: Float[np.ndarray, "motions 1"]) -> Front:
         """Return the motions that begin at places."""

@@ -85,9 +85,9 @@ class Disc(NamedTuple):
     def _radius(self) -> float:
         return float(np.linalg.norm(self.local.plane, axis=0).max())
 
-    def between(self, one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "pairs 2"]:
+    def between(self, first: np.ndarray, second: np.ndarray) -> Float[np.ndarray, "pairs 2"]:
         """Return the middles of arcs: next to an axis they keep all digits of the distance from it."""
-        middle = one + other
+        middle = first + second
         return middle / np.linalg.norm(middle, axis=1, keepdims=True)
 
     def begin(self, places: Float[np.ndarray, "motions 2"]) -> Front:
@@ -103,8 +103,8 @@ class Disc(NamedTuple):
         counted, local, disc = fan.counted, self.local, self.disc
         numbers = np.where(counted, len(disc) + np.cumsum(counted).reshape(counted.shape) - 1, -1)
         flat, cut = local.points(disc), fan.parts + 1
-        begun = np.linalg.norm(fan.points[:, 0] - local.centre, axis=1)
-        arc = (begun[:, None] + self.spacing * np.arange(cut))[counted]
+        radius = np.linalg.norm(fan.points[:, 0] - local.centre, axis=1)
+        arc = (radius[:, None] + self.spacing * np.arange(cut))[counted]
         points = np.concatenate([flat, fan.points[:, :cut][counted]])
         local_error = np.linalg.norm(local.errors(disc), axis=1) + _rounding(flat)
         error = np.concatenate([local_error, fan.error[:, :cut][counted]])
@@ -121,9 +121,9 @@ class Disc(NamedTuple):
             for i in range(n):
                 triangles += strip(ring[i], ring[i - n + 1], [after[i], after[i - n + 1]])
             ring = after
-        begun = np.flatnonzero(fan.born == 0)
-        outer = numbers[begun, 0].tolist()
-        known = {place.tobytes(): k for k, place in enumerate(fan.places[begun])}
+        inner = np.flatnonzero(fan.born == 0)
+        outer = numbers[inner, 0].tolist()
+        known = {place.tobytes(): k for k, place in enumerate(fan.places[inner])}
         at = [*(known[place.tobytes()] for place in first), len(outer)]
         for i in range(n):
             chain = [outer[k % len(outer)] for k in range(at[i], at[i + 1] + 1)]

@@ -58,7 +58,7 @@ def check(options: ManifoldsOptions, setting: Setting) -> None:
     if not options.box:
         raise OptionError("needs a box to draw the starts of Newton from", "box")
     check_names("manifolds", OWN_NAMES, setting)
-    check_box(options.box, setting, "box")
+    check_box(options.box, setting)
     movable = [axis.name for axis in setting.axes if axis.kind == "lane"]
     if options.tangency is not None and options.tangency not in movable:
         known = f"these are {', '.join(movable)}" if movable else "there is none"
@@ -96,8 +96,8 @@ def _table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
 def _of_lane(grown: BranchSet, saddles: Saddles, lane: int) -> list[tuple[int, ManifoldBranch]]:
     """Return the branches of a lane with their numbers."""
     each = len(grown.branches) // max(len(saddles.lane), 1)
-    of = (b for s in np.flatnonzero(saddles.lane == lane) for b in range(each * s, each * (s + 1)))
-    return [(int(b), branch) for b in of if (branch := grown.branches[b]) is not None]
+    numbers = (b for s in np.flatnonzero(saddles.lane == lane) for b in range(each * s, each * (s + 1)))
+    return [(int(b), branch) for b in numbers if (branch := grown.branches[b]) is not None]
 
 
 def _pairs_of_lane(
@@ -107,7 +107,7 @@ def _pairs_of_lane(
 
     Every homoclinic orbit has points on these.
     """
-    unstable, stable = (_of_lane(of, saddles, lane) for of in grown)
+    unstable, stable = (_of_lane(curves, saddles, lane) for curves in grown)
     return [(b, branch) for b, branch in unstable if b // 2 % saddles.points.shape[1] == 0], stable
 
 

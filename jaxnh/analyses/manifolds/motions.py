@@ -109,10 +109,10 @@ def follow_motion(
         return lax.fori_loop(0, count, lambda _, y: _METHOD.rolled_stages(field, step, y), y)
 
     def part(front: Front, _: None) -> tuple[Front, tuple[Array, Array]]:
-        begun = front.point, jnp.stack([front.tangent, front.error, front.normal])
+        start = front.point, jnp.stack([front.tangent, front.error, front.normal])
         turned = front.part * jnp.linalg.norm(jax.jacfwd(along)(front.point))
         count = steps * jnp.clip(jnp.ceil(turned), 1, _MORE).astype(jnp.int32)
-        coarse, (tangent, error, normal) = advanced(count, with_tangents, begun)
+        coarse, (tangent, error, normal) = advanced(count, with_tangents, start)
         z = advanced(2 * count, lambda _, z: along(z), front.point)
         left = coarse - z
         tangent, error, normal = _frame(along(z), tangent, error + left, normal)
@@ -124,8 +124,8 @@ def follow_motion(
         return after, tuple(jnp.where(followed, each, jnp.nan) for each in shown)  # pyright: ignore[reportReturnType]
 
     tangent, error, normal = _frame(along(front.point), front.tangent, front.error, front.normal)
-    begun = front._replace(tangent=tangent, error=error, normal=normal / jnp.linalg.norm(normal))
-    end, (points, distance) = lax.scan(part, begun, None, length=parts)
+    first = front._replace(tangent=tangent, error=error, normal=normal / jnp.linalg.norm(normal))
+    end, (points, distance) = lax.scan(part, first, None, length=parts)
     return MotionPoints(points, distance, end)
 
 

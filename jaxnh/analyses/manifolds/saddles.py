@@ -132,7 +132,7 @@ def find_germs(
     orbits, n, d = points.shape
     number = np.arange(orbits)
     once = images(lanes, strobe, p, np.ones(orbits, np.int32))
-    closed = close_orbits(lambda u, of: once(u, of.astype(int)), points, number.astype(float), batch.chart.wrap)
+    closed = close_orbits(lambda u, number: once(u, number.astype(int)), points, number.astype(float), batch.chart.wrap)
     exact = np.where(closed.converged[:, None, None], closed.points, np.nan)
     blocks = np.where(closed.converged[:, None, None, None], closed.blocks, np.nan)
     turn = np.broadcast_to(np.eye(d), (orbits, n, d, d))
@@ -154,14 +154,14 @@ def _expanding(matrices: Float[np.ndarray, "n d d"]) -> tuple[Float[np.ndarray, 
     finite = np.all(np.isfinite(matrices), axis=(1, 2))
     values, vectors = np.linalg.eig(np.where(finite[:, None, None], matrices, 0.0))
     outside = np.log(np.maximum(np.abs(values), 1e-300)) > _NEUTRAL
-    one = finite & (np.sum(outside, axis=1) == 1)
+    single = finite & (np.sum(outside, axis=1) == 1)
     which = np.argmax(np.abs(values), axis=1)
     row = np.arange(len(matrices))
     value, vector = np.real(values[row, which]), np.real(vectors[row, :, which])
     first = np.argmax(np.abs(vector), axis=1)  # its largest component is positive
     length = np.linalg.norm(vector, axis=1) * np.sign(vector[row, first])
     vector = vector / np.where(length == 0.0, 1.0, length)[:, None]
-    return np.where(one, value, np.nan), np.where(one[:, None], vector, np.nan)
+    return np.where(single, value, np.nan), np.where(single[:, None], vector, np.nan)
 
 
 def extent(

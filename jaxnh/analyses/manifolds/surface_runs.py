@@ -62,7 +62,7 @@ def _of_equilibria(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunne
         size = box_size(batch, options.box)
         known = find_saddles(batch, lanes, options.n_starts, options.seed, options.box, size)
         local = {kind: local_surfaces(batch, lanes, known, size, SIDES[kind], _SHARE * tolerance) for kind in kinds}
-    two = np.array([any(of[k] is not None for of in local.values()) for k in range(len(known.lane))], bool)
+    two = np.array([any(discs[k] is not None for discs in local.values()) for k in range(len(known.lane))], bool)
     number = np.bincount(known.lane[two], minlength=batch.count)
     place = np.cumsum(two) - 1 - (np.cumsum(number) - number)[known.lane]
     kept = np.flatnonzero(two & (place < options.saddles))

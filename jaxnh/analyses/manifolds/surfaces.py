@@ -55,8 +55,8 @@ def fitting(mesh: SurfaceMesh, most: int) -> SurfaceMesh:
     """Return a mesh, or its first corner alone where it has more than may be even so far as it is cut."""
     if len(mesh.points) <= most:
         return mesh
-    one = mesh.points[:1], mesh.error[:1], mesh.arc[:1]
-    return SurfaceMesh(*one, np.zeros((0, 3), int), MAX_POINTS, mesh.gaps)
+    centre = mesh.points[:1], mesh.error[:1], mesh.arc[:1]
+    return SurfaceMesh(*centre, np.zeros((0, 3), int), MAX_POINTS, mesh.gaps)
 
 
 class Rim(Protocol):
@@ -81,7 +81,7 @@ class Rim(Protocol):
     @property
     def inner(self) -> int: ...
 
-    def between(self, one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "pairs k"]:
+    def between(self, first: np.ndarray, second: np.ndarray) -> Float[np.ndarray, "pairs k"]:
         """Return places between two, pair by pair."""
         ...
 
@@ -221,16 +221,16 @@ class Fan:
     def wanted(self) -> Float[np.ndarray, "motions k"]:
         """Return where further motions are to begin, none once neighbours are near each other."""
         self._fit()
-        one = np.arange(len(self.places) if self._rim.closed else len(self.places) - 1)
-        other = (one + 1) % len(self.places)
-        cut, since = self.parts + 1, np.maximum(self.born[one], self.born[other])
+        first = np.arange(len(self.places) if self._rim.closed else len(self.places) - 1)
+        other = (first + 1) % len(self.places)
+        cut, since = self.parts + 1, np.maximum(self.born[first], self.born[other])
         with np.errstate(invalid="ignore"):
-            gap = np.linalg.norm(self.points[one, :cut] - self.points[other, :cut], axis=2)
+            gap = np.linalg.norm(self.points[first, :cut] - self.points[other, :cut], axis=2)
             wide = (gap > self._spacing) & (np.arange(cut) >= since[:, None])
         apart = np.flatnonzero(wide.any(axis=1))
-        between = self._rim.between(self.places[one[apart]], self.places[other[apart]])
-        begun = np.asarray(self._rim.begin(between).point) if len(apart) else np.zeros((0, self.points.shape[2]))
-        new = np.all([np.any(begun != self.points[end[apart], 0], axis=1) for end in (one, other)], axis=0)
+        between = self._rim.between(self.places[first[apart]], self.places[other[apart]])
+        starts = np.asarray(self._rim.begin(between).point) if len(apart) else np.zeros((0, self.points.shape[2]))
+        new = np.all([np.any(starts != self.points[end[apart], 0], axis=1) for end in (first, other)], axis=0)
         self.gaps, apart = int(np.sum(~new)), apart[new]
         self._next = apart + 1, np.maximum(np.argmax(wide[apart], axis=1) - 1, since[apart])
         return between[new]

@@ -101,15 +101,15 @@ def _of_branches(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner,
                 points[at][: len(branch.x)], arc[at][: len(branch.x)] = branch.points, branch.arc
     orbit = np.full((*shape[:2], options.period, batch.chart.dimension), np.nan)
     orbit[saddles.lane, saddles.place] = saddles.points
-    of = LANE, "saddle", "branch"
+    dims = LANE, "saddle", "branch"
     return {
         **named_points(batch, lanes, orbit, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
-        **named_points(batch, lanes, points, (*of, "point"), "_points", "along the branch"),
-        "arc_length": variable((*of, "point"), arc, f"arc length from the saddle, {SIZES}"),
-        "multiplier": variable(of, multiplier, "multiplier along the branch"),
-        "end": flag(of, end, "how the branch ends", ENDS),
+        **named_points(batch, lanes, points, (*dims, "point"), "_points", "along the branch"),
+        "arc_length": variable((*dims, "point"), arc, f"arc length from the saddle, {SIZES}"),
+        "multiplier": variable(dims, multiplier, "multiplier along the branch"),
+        "end": flag(dims, end, "how the branch ends", ENDS),
         "deviation": variable(
-            of, deviation, f"largest distance of the branch from that of twice the steps and a shorter start, {SIZES}"
+            dims, deviation, f"largest distance of the branch from that of twice the steps and a shorter start, {SIZES}"
         ),
     }
 
@@ -139,16 +139,22 @@ def _of_crossings(
 
 
 def _of_tangencies(
-    options: ManifoldsOptions, batch: LaneBatch, made: Manifolds, of: Tangencies, lane: Int[np.ndarray, " tangencies"]
+    options: ManifoldsOptions,
+    batch: LaneBatch,
+    made: Manifolds,
+    tangencies: Tangencies,
+    lane: Int[np.ndarray, " tangencies"],
 ) -> dict[str, Entry]:
     at, dims, shape = _places(lane, KEPT), (LANE, "contact"), (batch.count, KEPT)
     name = options.tangency
     assert name is not None
     words, unit = batch.flow.labels.long_names[name], {"units": batch.flow.labels.units[name]}
     return {
-        "tangency": variable(dims, _filled(shape, at, of.value), f"{words} of tangencies, nearest first", **unit),
-        "tangency_error": variable(dims, _filled(shape, at, of.error), "error of the value", **unit),
-        **_ends("tangency", dims, shape, at, made.saddles, of.meetings, options.period),
+        "tangency": variable(
+            dims, _filled(shape, at, tangencies.value), f"{words} of tangencies, nearest first", **unit
+        ),
+        "tangency_error": variable(dims, _filled(shape, at, tangencies.error), "error of the value", **unit),
+        **_ends("tangency", dims, shape, at, made.saddles, tangencies.meetings, options.period),
     }
 
 

@@ -62,22 +62,22 @@ def near_tangencies(
     from scipy.spatial import KDTree  # here, as it takes a tenth of a second to import
 
     parts = list[Meetings]()
-    for number, one in unstable:
+    for number, curve in unstable:
         for other_number, other in stable:
-            if min(len(one.x), len(other.x)) < 4:
+            if min(len(curve.x), len(other.x)) < 4:
                 continue
-            middle, way = _segments(one, size, wrap)
+            middle, way = _segments(curve, size, wrap)
             other_middle, other_way = _segments(other, size, wrap)
             distance, near = KDTree(other_middle).query(middle, distance_upper_bound=_FARTHEST)
             near = np.minimum(near, len(other_middle) - 1)
             sine = _cross(way, other_way[near])
             gap = np.abs(_cross(other_middle[near] - middle, other_way[near]))
-            arcs = one.arc[1:-1], other.arc[1:-1][near]
+            arcs = curve.arc[1:-1], other.arc[1:-1][near]
             kept = (sine[1:] * sine[:-1] <= 0.0) & np.isfinite(distance[1:]) & np.isfinite(distance[:-1])
             kept &= np.maximum(arcs[0][1:], arcs[1][1:]) > _TRIVIAL
             at = np.flatnonzero(kept) + 1
             share = sine[at - 1] / (sine[at - 1] - sine[at])
-            centre = 0.5 * (one.x[1:-1] + one.x[2:])
+            centre = 0.5 * (curve.x[1:-1] + curve.x[2:])
             own = centre[at - 1] + share * (centre[at] - centre[at - 1])
             x = np.stack([own, _foot(other, near[at], middle[at], size)], axis=1)
             parts.append(Meetings(np.full(len(at), number), np.full(len(at), other_number), x, gap[at]))
@@ -224,13 +224,14 @@ def locate_tangencies(
     return Tangencies(meetings._replace(x=fine[:, :2]), fine[:, 2], error)
 
 
-def nearest_tangencies(of: Tangencies, value: float) -> Int[np.ndarray, " kept"]:
+def nearest_tangencies(tangencies: Tangencies, value: float) -> Int[np.ndarray, " kept"]:
     """Return the numbers of those nearest to a value of the parameter, each once."""
     kept = list[int]()
-    for i in np.argsort(np.abs(of.value - value), kind="stable").tolist():
+    for i in np.argsort(np.abs(tangencies.value - value), kind="stable").tolist():
         unit = _SAME * max(abs(value), 1e-3)
-        if np.isfinite(of.value[i]) and all(
-            abs(of.value[i] - of.value[j]) > unit + of.error[i] + of.error[j] for j in kept
+        if np.isfinite(tangencies.value[i]) and all(
+            abs(tangencies.value[i] - tangencies.value[j]) > unit + tangencies.error[i] + tangencies.error[j]
+            for j in kept
         ):
             kept.append(i)
     return np.array(kept[:KEPT], int)
@@ -251,5 +252,5 @@ def _segments(branch: ManifoldBranch, size: np.ndarray, wrap: Wrap) -> tuple[np.
     return middle, way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
-def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]

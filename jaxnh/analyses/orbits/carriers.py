@@ -97,8 +97,8 @@ def _by_leaves(
     """Return the places with those of undecided saddles that an unstable leaf of the motion comes to."""
     measured, batch = part.measured[n], part.batch
     modulus, error = np.abs(measured.multipliers), measured.multipliers_error
-    one = (modulus[:, 0] > 1.0 + error[:, 0]) & np.all(modulus[:, 1:] < 1.0 - error[:, 1:], axis=1)
-    open_ = np.flatnonzero(one & (places.place == PLACES.index("undecided")))
+    single = (modulus[:, 0] > 1.0 + error[:, 0]) & np.all(modulus[:, 1:] < 1.0 - error[:, 1:], axis=1)
+    open_ = np.flatnonzero(single & (places.place == PLACES.index("undecided")))
     if not len(open_) or batch.chart.dimension == 1:
         return places
     lane, strobe, p = part.search.cycles[n].lane[open_], refined_maps(batch)[0], dict(batch.p)
@@ -129,8 +129,8 @@ def place_variables(
     """Return distances and places over (lane, orbit)."""
     rows = [(row, of_part[row.n]) for part, of_part in zip(parts, places, strict=True) for row in rows_of(part)]
     every = [row for row, _ in rows]
-    distance = gather(every, [one.distance for _, one in rows], count, np.nan)
-    place = gather(every, [one.place for _, one in rows], count, 0)
+    distance = gather(every, [carrier.distance for _, carrier in rows], count, np.nan)
+    place = gather(every, [carrier.place for _, carrier in rows], count, 0)
     words = "largest distance of a point of the orbit from the motion, in sizes of the motion"
     return {
         "distance": variable((LANE, "orbit"), distance, words),

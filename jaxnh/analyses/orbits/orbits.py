@@ -45,7 +45,7 @@ def check(options: OrbitsOptions, setting: Setting) -> None:
     check_names("orbits", OWN_NAMES, setting)
     check_signs(setting.flow, options.symmetry or ())
     if options.box:
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
 
 
 def run(options: OrbitsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:

@@ -97,7 +97,7 @@ def search_neighbours(
         neighbours: numbers of a lane and of one that has values of the parameters next to its own.
     """
     cycles, wrap = dict(known.cycles), batch.chart.wrap
-    fresh = {n: np.arange(len(of.lane)) for n, of in cycles.items()}
+    fresh = {n: np.arange(len(orbits.lane)) for n, orbits in cycles.items()}
     while any(len(numbers) for numbers in fresh.values()) and len(neighbours):
         more = dict[int, list[Cycles]]()
         for n, numbers in fresh.items():
@@ -106,10 +106,10 @@ def search_neighbours(
                 points, lane = cycles[n].points[numbers[number]], neighbours[pair, 1]
                 for new in newton(batch, lanes, strobe, points, lane, known.size):
                     more.setdefault(new.points.shape[1], []).append(new)
-        before = {n: len(of.lane) for n, of in cycles.items()}
+        before = {n: len(orbits.lane) for n, orbits in cycles.items()}
         for n, parts in more.items():
             cycles[n] = merge_cycles(cycles[n], joined(parts), known.size, wrap, sample=False)
-        fresh = {n: np.arange(before[n], len(of.lane)) for n, of in cycles.items()}
+        fresh = {n: np.arange(before[n], len(orbits.lane)) for n, orbits in cycles.items()}
     return known._replace(cycles=cycles)
 
 
@@ -182,10 +182,10 @@ def _round(
 ) -> dict[int, Cycles]:
     """Return the orbits that a round finds by number of returns, from one path of each lane and random ones."""
     (path, *random), by_returns = paths, dict[int, list[Cycles]]()
-    begun = WINDOW * np.arange(WINDOWS)
+    start = WINDOW * np.arange(WINDOWS)
     for n in range(1, options.max_period + 1):
         nearest = nearest_returns(path, n, WINDOWS, size, batch.chart.wrap)
-        starts = [stretches(path, n, np.concatenate([nearest, np.broadcast_to(begun, nearest.shape)], axis=1))]
+        starts = [stretches(path, n, np.concatenate([nearest, np.broadcast_to(start, nearest.shape)], axis=1))]
         for more in random:
             points, which = stretches(more.reshape(-1, *more.shape[2:]), n, np.zeros((more[..., 0, 0].size, 1), int))
             starts.append((points, which // more.shape[1]))
@@ -229,6 +229,6 @@ def _sizes(
 def _doubtful(cycles: Mapping[int, Cycles], count: int) -> Bool[np.ndarray, " lanes"]:
     """Return which lanes have orbits that were met in one round or two alone."""
     doubtful = np.zeros(count, bool)
-    for of in cycles.values():
-        doubtful[of.lane[of.rounds <= 2]] = True
+    for orbits in cycles.values():
+        doubtful[orbits.lane[orbits.rounds <= 2]] = True
     return doubtful

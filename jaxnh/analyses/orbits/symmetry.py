@@ -37,14 +37,16 @@ def add_images(known: Search, batch: LaneBatch, lanes: LaneRunner, strobe: Maps,
         OptionError: the image of an orbit is no orbit, so that the signs are no symmetry of the system and its section.
     """
     cycles, images, wrap = dict(known.cycles), dict[int, Int[np.ndarray, " cycles"]](), batch.chart.wrap
-    for n, of in known.cycles.items():
-        images[n] = np.arange(len(of.lane))
-        if not len(of.lane):
+    for n, orbits in known.cycles.items():
+        images[n] = np.arange(len(orbits.lane))
+        if not len(orbits.lane):
             continue
-        turned = _images(of.points, batch, lanes, names)
-        more = [new for new in newton(batch, lanes, strobe, turned, of.lane, known.size) if new.points.shape[1] == n]
+        turned = _images(orbits.points, batch, lanes, names)
+        more = [
+            new for new in newton(batch, lanes, strobe, turned, orbits.lane, known.size) if new.points.shape[1] == n
+        ]
         if more:
-            cycles[n] = merge_cycles(of, joined(more), known.size, wrap, sample=False)
+            cycles[n] = merge_cycles(orbits, joined(more), known.size, wrap, sample=False)
         count, turned = len(cycles[n].lane), _images(cycles[n].points, batch, lanes, names)
         lane = np.tile(cycles[n].lane, 2)
         label = equal_cycles(lane, np.concatenate([cycles[n].points, turned]), known.size[lane], wrap)[count:]

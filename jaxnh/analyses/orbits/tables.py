@@ -124,8 +124,8 @@ def gather(rows: Sequence[OrbitRow], values: Sequence[np.ndarray], count: int, e
     """Return numbers of orbits, an array for each row, over (lane, orbit, ...)."""
     most = max((int(row.place.max()) + 1 for row in rows if len(row.place)), default=0)
     made = np.full((count, most, *(values[0].shape[1:] if values else ())), empty)
-    for row, one in zip(rows, values, strict=True):
-        made[row.lane, row.place] = one
+    for row, value in zip(rows, values, strict=True):
+        made[row.lane, row.place] = value
     return made
 
 

@@ -34,14 +34,14 @@ class LeafPiece(NamedTuple):
 
     Attributes:
         passed: number of the motion's point beside the orbit, (cycles,).
-        begun: number of the point where the piece is short, (cycles,).
+        start: number of the point where the piece is short, (cycles,).
         shift: the way from that point to the middle of the piece, in sizes, (cycles, d).
         at: number of the orbit's point, (cycles,).
         known: whether there is such a piece, (cycles,).
     """
 
     passed: Int[np.ndarray, " cycles"]
-    begun: Int[np.ndarray, " cycles"]
+    start: Int[np.ndarray, " cycles"]
     shift: Float[np.ndarray, "cycles d"]
     at: Int[np.ndarray, " cycles"]
     known: Bool[np.ndarray, " cycles"]
@@ -76,13 +76,13 @@ def leaf_distances(
     stable = _left_vectors(np.asarray(period(points.reshape(-1, d), np.repeat(lane, n)).monodromy), points, size)
     piece = _pieces(period, chart, motion, points, stable, lane, size)
     nearest, u = np.full((cycles, n), np.inf), np.zeros((cycles, _POINTS, d))
-    active, steps = piece.known.copy(), piece.passed - piece.begun
+    active, steps = piece.known.copy(), piece.passed - piece.start
     longest = int(np.max(steps, initial=0, where=active))
     at, each = piece.at.copy(), np.arange(cycles)
     share = np.linspace(0.0, 2.0, _POINTS)[None, :, None]
     for turn in range(-longest, _RETURNS):
         begins = active & (steps == -turn)
-        first = motion[each, piece.begun]
+        first = motion[each, piece.start]
         u[begins] = (first[:, None] + share * (piece.shift * size)[:, None])[begins]
         passing = active & (turn >= 0)
         if passing.any():
@@ -137,11 +137,11 @@ def _pieces(
     for i in range(count):
         length = np.linalg.norm(along, axis=2)
         growth[:, i] = (growth[:, i - 1] if i else 0.0) + np.log(length[:, 0])
-        one, other = np.moveaxis(along / length[:, :, None], 1, 0)
-        direction[:, i] = one
-        turned = np.sum(one * other, axis=1)[:, None]
-        differ[:, i] = np.linalg.norm(other - turned * one, axis=1)
-        along = np.einsum("cij,ckj->cki", blocks[:, i], np.stack([one, other], axis=1))
+        directions, images = np.moveaxis(along / length[:, :, None], 1, 0)
+        direction[:, i] = directions
+        turned = np.sum(directions * images, axis=1)[:, None]
+        differ[:, i] = np.linalg.norm(images - turned * directions, axis=1)
+        along = np.einsum("cij,ckj->cki", blocks[:, i], np.stack([directions, images], axis=1))
     settled = np.minimum.accumulate(differ, axis=1) < _ALONG
     away = chart.wrap(motion[:, :, None] - points[:, None]) / size[:, None, None]
     apart = np.linalg.norm(away, axis=3)
@@ -150,13 +150,22 @@ def _pieces(
     away = np.take_along_axis(away, at[:, :, None, None], axis=2)[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         way = -np.einsum("cij,cij->ci", away, across) / np.einsum("cij,cij->ci", direction, across)
-    begun = np.array([np.searchsorted(np.maximum.accumulate(one), one - _GROWTH, "right") for one in growth]) - 1
-    possible = (begun >= 0) & np.take_along_axis(settled, np.maximum(begun, 0), axis=1) & (np.abs(way) < _SIDES * apart)
+    start_step = (
+        np.array(
+            [np.searchsorted(np.maximum.accumulate(directions), directions - _GROWTH, "right") for directions in growth]
+        )
+        - 1
+    )
+    possible = (
+        (start_step >= 0)
+        & np.take_along_axis(settled, np.maximum(start_step, 0), axis=1)
+        & (np.abs(way) < _SIDES * apart)
+    )
     with np.errstate(invalid="ignore"):
         cost = np.where(possible, np.maximum(np.abs(way), apart), np.inf)
     index = np.argmin(cost, axis=1)
     each = each[:, 0]
-    start = np.maximum(begun[each, index], 0)
+    start = np.maximum(start_step[each, index], 0)
     shrunk = np.exp(growth[each, start] - growth[each, index])
     shift = direction[each, start] * (way[each, index] * shrunk)[:, None]
     return LeafPiece(index, start, shift, at[each, index], np.isfinite(cost[each, index]))

@@ -214,22 +214,22 @@ def _survey_at(
         near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * CLOSE
         largest = largest_multiplier(orbit.monodromy)
         settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
-        here, least_of = np.unique(lane[settled], return_index=True)
-        if not len(here):
+        lanes_settled, least_of = np.unique(lane[settled], return_index=True)
+        if not len(lanes_settled):
             continue
         settled = settled[least_of]
         exact = select(orbit, settled)
-        shortest = least_period(lanes, strobe, exact.u, select(p, here), n[settled], size[here])
+        shortest = least_period(lanes, strobe, exact.u, select(p, lanes_settled), n[settled], size[lanes_settled])
         shorter = np.flatnonzero(shortest != n[settled])
         if len(shorter):
-            subset = here[shorter]
+            subset = lanes_settled[shorter]
             turned = orbits(lanes, strobe, exact.u[shorter], select(p, subset), shortest[shorter], size[subset])
             for whole, part in zip(exact, turned, strict=True):
                 whole[shorter] = part
-        period[here], point[here] = shortest, exact.u
-        residual[here], monodromy[here] = exact.residual, exact.monodromy
-        multiplier[here] = largest[settled]
-        multiplier[here[shorter]] = largest_multiplier(exact.monodromy[shorter])
+        period[lanes_settled], point[lanes_settled] = shortest, exact.u
+        residual[lanes_settled], monodromy[lanes_settled] = exact.residual, exact.monodromy
+        multiplier[lanes_settled] = largest[settled]
+        multiplier[lanes_settled[shorter]] = largest_multiplier(exact.monodromy[shorter])
     return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, failed, size), points[:, -1])
 
 

@@ -116,8 +116,8 @@ def duration_of(batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "
     """Time that the orbit of a batch of one lane takes, by its points."""
     if batch.flow is batch.system:
         return len(points) * batch.flow.period
-    begun = (states_at(batch, lanes, points[:1]), dict(batch.p))
-    return float(np.asarray(lanes.iterate(batch.strobe(), len(points), begun, tile=_TILE).t)[0])
+    start = (states_at(batch, lanes, points[:1]), dict(batch.p))
+    return float(np.asarray(lanes.iterate(batch.strobe(), len(points), start, tile=_TILE).t)[0])
 
 
 def _times_and_states(

@@ -101,9 +101,9 @@ def walk(
     """The n points of an orbit from its first ones: all that there are go on by as many periods as they are."""
     strobe = batch.strobe()
     while len(points) < n:
-        here = points[: n - len(points)]
-        p = batch.at_values(np.full(len(here), value)).p
-        image = lanes(section_map, (strobe, np.int32(len(points))), (here, p), tile=ORBIT_TILE)
+        block = points[: n - len(points)]
+        p = batch.at_values(np.full(len(block), value)).p
+        image = lanes(section_map, (strobe, np.int32(len(points))), (block, p), tile=ORBIT_TILE)
         points = np.concatenate([points, image])
     return points
 

@@ -67,13 +67,16 @@ def images(
 
 
 def section_distance(
-    chart: Chart, one: Float[np.ndarray, "... d"], other: Float[np.ndarray, "... d"], size: Float[np.ndarray, "... d"]
+    chart: Chart,
+    first: Float[np.ndarray, "... d"],
+    second: Float[np.ndarray, "... d"],
+    size: Float[np.ndarray, "... d"],
 ) -> np.ndarray:
     """Largest difference (...) between section points in sizes of the motion; without dimensions that of positions."""
     if chart.dimensionless:
-        return chart.distance(one, other)
+        return chart.distance(first, second)
     with np.errstate(invalid="ignore"):  # of lanes that escape
-        return np.max(np.abs(chart.wrap(one - other)) / size, axis=-1)
+        return np.max(np.abs(chart.wrap(first - second)) / size, axis=-1)
 
 
 def least_period(

@@ -107,10 +107,10 @@ def _phase_responses(batch: LaneBatch, lanes: LaneRunner, attractors: Survey, co
 
 def _single_lane(batch: LaneBatch, k: int) -> LaneBatch:
     """The batch of one lane, with the system of its own."""
-    one = batch.take(np.array([k]))
-    if one.family is None:
-        return one
-    return one.with_system(one.family.at(tuple(float(one.p[name][0]) for name in one.family.names)))
+    lane = batch.take(np.array([k]))
+    if lane.family is None:
+        return lane
+    return lane.with_system(lane.family.at(tuple(float(lane.p[name][0]) for name in lane.family.names)))
 
 
 def _of_lane(
@@ -131,24 +131,24 @@ def _of_lane(
     coarse = _from_section(problem, cycle.solution, lift, section, count) if cycle.converged[0] else None
     if coarse is None or not coarse.converged[0]:
         return None
-    begun = coarse.solution
+    start = coarse.solution
     fine = correct(
         problem,
-        begun._replace(path=on_mesh(begun.path, halved(begun.path.mesh))),
+        start._replace(path=on_mesh(start.path, halved(start.path.mesh))),
         closure(problem, lift),
         hold_parameters,
     )
     if not fine.converged[0]:
         return None
-    place = np.searchsorted(begun.path.mesh[0], np.arange(count) / count)
-    state, z, _ = _since_section(problem, begun, lift, section, place)
+    place = np.searchsorted(start.path.mesh[0], np.arange(count) / count)
+    state, z, _ = _since_section(problem, start, lift, section, place)
     more, finer, spread = _since_section(problem, fine.solution, lift, section, 2 * place)
     floor = _EPS * fine.solution.path.stages.shape[1]  # of each interval one rounding, that the orbit carries on
     rounding = (fine.rounding[0] + floor) * problem.size
     largest = np.abs(finer).max(axis=0)
     errors = np.abs(finer - z) + (spread + floor) * largest
-    longer = abs(fine.solution.duration[0] - begun.duration[0])
-    last = (fine.extra_rounding[0, 0] + floor) * begun.duration[0]
+    longer = abs(fine.solution.duration[0] - start.duration[0])
+    last = (fine.extra_rounding[0, 0] + floor) * start.duration[0]
     states = batch.flow.chart.wrap(more)
     return states, np.abs(more - state) + rounding, finer, errors, fine.solution.duration[0], longer + last
 

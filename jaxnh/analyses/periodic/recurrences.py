@@ -93,6 +93,6 @@ def recurs_after(
         doubled = ratio & (ratio - 1) == 0
         return (base, nearest), recurs & (doubled | (furthest < 0.5 * nearest) & (not only_doublings))
 
-    begun = jnp.zeros((), jnp.int32), jnp.zeros(())
-    possible = lax.scan(look, begun, jnp.arange(least, limit + 1, dtype=jnp.int32))[1]
+    start = jnp.zeros((), jnp.int32), jnp.zeros(())
+    possible = lax.scan(look, start, jnp.arange(least, limit + 1, dtype=jnp.int32))[1]
     return jnp.concatenate([jnp.zeros(least, bool), possible])

@@ -49,8 +49,8 @@ class Sensitivities(NamedTuple):
     Attributes:
         names: of the parameters.
         rates: (numbers, parameters), not a number where there is no derivative.
-        errors: of them.
-        absent: why there is none, by parameter.
+        errors: of the rates, (numbers, parameters).
+        absent: why there is no derivative, by parameter.
     """
 
     names: tuple[str, ...]

@@ -59,11 +59,11 @@ def sensitivity_cells(data: xr.Dataset, name: str, row: int) -> tuple[str, ...]:
     )
 
 
-def sensitivity_words(data: xr.Dataset, name: str, dim: str) -> str:
-    """Return derivatives of the first and the last of some numbers in words; "" where there are none."""
-    known = data.isel({dim: np.flatnonzero(np.isfinite(data[name].to_numpy()))})
-    if not (heads := sensitivity_heads(data, name)) or not known.sizes[dim]:
+def sensitivity_words(data: xr.Dataset, name: str) -> str:
+    """Return derivatives of the first and the last level in words; "" where there are none."""
+    known = data.isel(level=np.flatnonzero(np.isfinite(data[name].to_numpy())))
+    if not (heads := sensitivity_heads(data, name)) or not known.sizes["level"]:
         return ""
     first, last = (sensitivity_cells(known, name, row) for row in (0, -1))
     ranges = zip(heads, first, last, strict=True)
-    return ", ".join(f"{head} = {one} to {other}" for head, one, other in ranges if one != "–")
+    return ", ".join(f"{head} = {low} to {high}" for head, low, high in ranges if low != "–")

@@ -47,10 +47,10 @@ def choose_reversal(batch: LaneBatch, suits: Callable[[Reversal], bool] = lambda
     flow, declared, changes = batch.flow, declared_reversal(batch.flow), sign_changes(batch.flow)
     for p in _sample_lanes(batch):
         if declared:
-            one = _as_candidates(declared)
-            if violations(flow, one, p)[0] > EXACT:
+            candidates = _as_candidates(declared)
+            if violations(flow, candidates, p)[0] > EXACT:
                 continue
-            if _keep_section(batch.system, one, p)[0] and suits(declared):
+            if _keep_section(batch.system, candidates, p)[0] and suits(declared):
                 return _DECLARED
         if changes:
             holds = (violations(flow, changes, p) <= EXACT) & _keep_section(batch.system, changes, p)

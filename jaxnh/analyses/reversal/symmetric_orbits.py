@@ -216,10 +216,10 @@ def _conditions(
 
     def at(x: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         own = select(p, number) | ({name: x[:, d]} if name else {})
-        (one, of_one), (half, of_half) = reversed_after(x, own, a), moved(x, own, k)
+        (image, of_image), (half, of_half) = reversed_after(x, own, a), moved(x, own, k)
         other, of_other = reversed_after(x, own, n - k + a)
-        missing = np.concatenate([batch.chart.wrap(one - x[:, :d]), batch.chart.wrap(other - half)], axis=1)
-        return missing, np.concatenate([of_one - np.eye(d, x.shape[1]), of_other - of_half], axis=1)
+        missing = np.concatenate([batch.chart.wrap(image - x[:, :d]), batch.chart.wrap(other - half)], axis=1)
+        return missing, np.concatenate([of_image - np.eye(d, x.shape[1]), of_other - of_half], axis=1)
 
     return at
 

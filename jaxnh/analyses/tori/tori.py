@@ -125,8 +125,8 @@ def _solutions(options: ToriOptions, batch: LaneBatch, lanes: LaneRunner, motion
     at = images(lanes, batch.strobe(), batch.p, np.ones(batch.count, np.int32))
     solved: Solutions = {}
 
-    def solve(begun: dict[int, InvariantCurve]) -> None:
-        ended = solve_curves(at, begun, options.harmonics, error, batch.chart.wrap)
+    def solve(starts: dict[int, InvariantCurve]) -> None:
+        ended = solve_curves(at, starts, options.harmonics, error, batch.chart.wrap)
         solved.update({lane: each for lane, each in ended.items() if each[1].converged})
 
     own = np.flatnonzero(motions.kind == rotation.KINDS.index("unlocked"))
@@ -134,15 +134,15 @@ def _solutions(options: ToriOptions, batch: LaneBatch, lanes: LaneRunner, motion
     solve({int(i): curve_through(motions.u[i], float(motions.rotation[i]), first, angles) for i in own})
     tried = set[int]()
     while batch.axis is not None:
-        begun = {
+        seeds = {
             lane: min((solved[i][0] for i in (lane - 1, lane + 1) if i in solved), key=lambda curve: curve.harmonics)
             for lane in range(batch.count)
             if lane not in solved and lane not in tried and (lane - 1 in solved or lane + 1 in solved)
         }
-        if not begun:
+        if not seeds:
             break
-        tried.update(begun)
-        solve(begun)
+        tried.update(seeds)
+        solve(seeds)
     return solved
 
 

@@ -179,8 +179,8 @@ def _carry_through_flows(
     for value in batch.first_axis.values[order].tolist():
         at_value = first.with_system(batch.family.at((value,)))
         p = at_value.p
-        begun, strobe = _advance_to_phase(options, at_value, lanes, state, p)
-        state = settle_lanes(lanes, strobe, options.transient, state if met else begun, p, tile=1)
+        start, strobe = _advance_to_phase(options, at_value, lanes, state, p)
+        state = settle_lanes(lanes, strobe, options.transient, state if met else start, p, tile=1)
         met.append(strobe_states(lanes, strobe, state, p, options.strobes, tile=1))
         state = jax.tree.map(lambda component: component[:, -1], met[-1])
     back = np.argsort(order)

@@ -66,13 +66,15 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
 def _dimension(batch: LaneBatch, lanes: LaneRunner, states: State) -> dict[str, Entry]:
     """Return the correlation dimension of the strobes of each lane."""
     points = points_at(batch, lanes, states, TILE)
-    of = correlation_dimension(points, np.array(batch.chart.angles))
+    dimension = correlation_dimension(points, np.array(batch.chart.angles))
     words = "correlation dimension of the strobes"
     return {
-        "correlation_dimension": variable(LANE, of.value, words),
-        "correlation_dimension_error": variable(LANE, of.error, f"error of the {words} at 95 %"),
-        "least_radius": variable(LANE, of.least, "least radius of the scaling region, over the range of coordinates"),
-        "largest_radius": variable(LANE, of.largest, "largest radius of the scaling region, likewise"),
+        "correlation_dimension": variable(LANE, dimension.value, words),
+        "correlation_dimension_error": variable(LANE, dimension.error, f"error of the {words} at 95 %"),
+        "least_radius": variable(
+            LANE, dimension.least, "least radius of the scaling region, over the range of coordinates"
+        ),
+        "largest_radius": variable(LANE, dimension.largest, "largest radius of the scaling region, likewise"),
     }
 
 

@@ -194,9 +194,9 @@ def _step(walk: _Walk, which: Int[np.ndarray, " some"], now: _Positions, total: 
     """Carry points on for as long as they stay long enough, in place."""
     ahead = points_after(walk.batch.take(which), walk.lanes, now.u[which], 0, _FURTHER + 1)
     for k, orbit in enumerate(which.tolist()):
-        begun = now.done[orbit]
-        steps = min(int(now.left[orbit] - walk.least[orbit]) + 1, int(total[orbit] - begun))
-        now.path[orbit, begun : begun + steps] = np.concatenate([now.u[orbit, None], ahead[k, : steps - 1]])
+        start = now.done[orbit]
+        steps = min(int(now.left[orbit] - walk.least[orbit]) + 1, int(total[orbit] - start))
+        now.path[orbit, start : start + steps] = np.concatenate([now.u[orbit, None], ahead[k, : steps - 1]])
         now.u[orbit] = ahead[k, steps - 1]
         now.done[orbit] += steps
         now.left[orbit] -= steps

@@ -36,7 +36,7 @@ def check(options: TransientsOptions, setting: Setting) -> None:
     """Check the box of starts, and that the region is one of coordinates."""
     if not options.box:
         raise OptionError("needs a box to draw its starts from", "box")
-    check_box(options.box, setting, "box")
+    check_box(options.box, setting)
     for name in options.region:
         if name not in setting.flow.coordinates:
             known = ", ".join(setting.flow.coordinates)
@@ -160,8 +160,8 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     names = "escape_rate", "mean_lifetime", "saddle_exponents", "saddle_dimension", "crisis", "crisis_exponent"
     rows = []
     for name in (name for name in names if name in data):
-        of = data[name].isel(exponent=0) if "exponent" in data[name].dims else data[name]
-        values = of.to_numpy().ravel()
+        largest = data[name].isel(exponent=0) if "exponent" in data[name].dims else data[name]
+        values = largest.to_numpy().ravel()
         finite = values[np.isfinite(values)]
         said = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size > 1 else "".join(f"{v:.6g}" for v in finite)
         rows.append((name.replace("_", " "), said or "–"))

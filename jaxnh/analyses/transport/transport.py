@@ -70,7 +70,7 @@ def check(options: TransportOptions, setting: Setting) -> None:
             raise OptionError(f"there is no coordinate {name}; known are {', '.join(names)}", "path")
     check_outputs([name for name in options.growth or () if name not in names], setting)
     if options.n_starts:
-        check_box(options.box, setting, "box")
+        check_box(options.box, setting)
 
 
 def run(options: TransportOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
@@ -87,8 +87,8 @@ def run(options: TransportOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Da
             variables |= _growth(name, words, growth_exponent(values.reshape(*shape, -1)), failed)
         if options.path:
             places = path.reshape(len(options.path), *shape, -1)
-            begun = _places(many.flow, _as_path(many.start), options.path).reshape(places.shape[:3])
-            extent = np.maximum(np.max(np.abs(places), axis=3), np.abs(begun))
+            start = _places(many.flow, _as_path(many.start), options.path).reshape(places.shape[:3])
+            extent = np.maximum(np.max(np.abs(places), axis=3), np.abs(start))
             rounding = _ROUNDING * np.max(extent, axis=(0, 2))
             variables |= _diffusion(options.path, batch.flow, diffusion(places), rounding, failed)
     return xr.Dataset(variables | {"status": as_variable(LANE, status(failed))})

@@ -266,9 +266,9 @@ def _end(family: Family, tree: Tree, number: int, inside: int, outside: int | No
     return End(ENDS.index(KINDS[event.kind]), event.value, event.error, known[0], event.points, event.multipliers)
 
 
-def _chord(family: Family, branch: Branch, one: int, other: int) -> float:
+def _chord(family: Family, branch: Branch, first: int, second: int) -> float:
     """Return the length from one point of a branch to another."""
-    gap = PathVector(branch.points[[other]] - branch.points[[one]], branch.value[[other]] - branch.value[[one]])
+    gap = PathVector(branch.points[[second]] - branch.points[[first]], branch.value[[second]] - branch.value[[first]])
     return float(length(family, gap)[0])
 
 
@@ -315,17 +315,17 @@ def _add(family: Family, groups: list[list[Window]], new: Window) -> None:
     groups.append([new])
 
 
-def _same_orbits(family: Family, one: Window, other: Window) -> bool:
+def _same_orbits(family: Family, first: Window, second: Window) -> bool:
     """Return whether two windows are of one orbit: its orbits at both ends are the same."""
-    ends = (one.begin, other.begin), (one.end, other.end)
-    return one.period == other.period and all(
+    ends = (first.begin, second.begin), (first.end, second.end)
+    return first.period == second.period and all(
         a.kind == b.kind and same_orbit(family, a.points, b.points, _NEAR) for a, b in ends
     )
 
 
-def _are_twins(family: Family, one: Window, other: Window) -> bool:
+def _are_twins(family: Family, first: Window, second: Window) -> bool:
     """Return whether two windows begin and end at the same values."""
-    ends = (one.begin, other.begin), (one.end, other.end)
+    ends = (first.begin, second.begin), (first.end, second.end)
     located = [(a, b) for a, b in ends if np.isfinite(a.value + b.value)]
     near = all(abs(a.value - b.value) <= _SAME * family.width + a.error + b.error for a, b in located)
-    return one.period == other.period and all(a.kind == b.kind for a, b in ends) and bool(located) and near
+    return first.period == second.period and all(a.kind == b.kind for a, b in ends) and bool(located) and near

@@ -124,9 +124,9 @@ def _doublings(
         PeriodScan(np.array([at]), np.zeros(1, int), window.inside.u)
         for at in (window.beyond, line.value[-1 if up else 0])
     ]
-    begun = PeriodScan(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
+    start = PeriodScan(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
-        return follow_line(batch, lanes, begun.joined(others).joined(no_orbit[1]), levels, size)
+        return follow_line(batch, lanes, start.joined(others).joined(no_orbit[1]), levels, size)
 
 
 def _limit(doublings: Sequence[LocatedDoubling]) -> LocatedValue:
@@ -159,10 +159,10 @@ def _crisis(
     u, turning = window.inside.u, np.array(batch.chart.angles)
     with lanes.stage(f"windows: bands of period {n} up to {batch.first_axis.name} = {stop:.9g}", 0):
         points = walk(batch, lanes, u, inside, n)[None]
-        begun = correct(family, points, window.inside.value, along_parameter(family, 1, n), FINE)
-        if not begun.converged[0]:
+        edge = correct(family, points, window.inside.value, along_parameter(family, 1, n), FINE)
+        if not edge.converged[0]:
             return NOWHERE
-        branch = follow_both_ways(family, begun, _STEPS)[0]
+        branch = follow_both_ways(family, edge, _STEPS)[0]
 
         def paths(values: Float[np.ndarray, " values"], count: int) -> Float[np.ndarray, "values points k"]:
             seeds = (orbits_at(family, [branch], value) for value in values.tolist())

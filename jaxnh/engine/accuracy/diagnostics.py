@@ -84,8 +84,8 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
     if why := flow.near_degeneracy(times, passed, p):
         return why
     if not np.all(finite := is_finite(passed)):
-        begun = jax.tree.map(lambda leaf: leaf[0], passed)
-        fastest = _fastest_rate(flow, float(times[0]), begun, p)
+        start = jax.tree.map(lambda leaf: leaf[0], passed)
+        fastest = _fastest_rate(flow, float(times[0]), start, p)
         if fastest * (times[1] - times[0]) > _UNSTABLE:  # of the steps that are to show the motion, and no fault of it
             return f"{_stiff(flow, fastest * flow.period)}; slow down what is fast in it, or ask for less"
         _, finer_times, finer, _ = _motion_of(maps, sample, length, _FINER * _ROUGHLY)

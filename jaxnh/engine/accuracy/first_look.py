@@ -123,7 +123,7 @@ def first_look(maps: SampleMaps, samples: Samples) -> FirstLook:
 def _follow(flow: Flow, length: ArrayLike, state: State, p: Parameters) -> tuple[Array, Array, Array, Array]:
     """One lane's part of a `Passage`."""
     flat, whole = ravel_pytree(state)
-    begun = jnp.abs(flat)
+    start = jnp.abs(flat)
 
     def rate(t: Array, y: Float[Array, " d"]) -> Float[Array, " d"]:
         return ravel_pytree(flow.rhs(t, whole(y), p))[0]
@@ -159,7 +159,7 @@ def _follow(flow: Flow, length: ArrayLike, state: State, p: Parameters) -> tuple
         )
 
     zero = jnp.zeros_like(flat[0])
-    begin = _Motion(flat, zero, zero + _FIRST_STEP * length, zero + length, begun, jnp.zeros_like(flat), jnp.int32(0))
+    begin = _Motion(flat, zero, zero + _FIRST_STEP * length, zero + length, start, jnp.zeros_like(flat), jnp.int32(0))
     end = lax.while_loop(unfinished, step, as_batched(begin, zero))
     count = len(jax.tree.leaves(error_components(state)))
     return end.t / length, jnp.asarray(length) / end.shortest, end.size[:count], end.way[:count]

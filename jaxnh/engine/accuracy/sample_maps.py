@@ -140,10 +140,10 @@ def image_of(states: State) -> Image:
     return [np.array(leaf) for leaf in jax.tree.leaves(error_components(states))]
 
 
-def differences(one: Image, other: Image) -> Float[np.ndarray, "components samples"]:
+def differences(first: Image, second: Image) -> Float[np.ndarray, "components samples"]:
     """Moduli of the differences of images."""
     with np.errstate(invalid="ignore", over="ignore"):  # of lanes that escape
-        return np.abs(np.stack(one) - np.stack(other))
+        return np.abs(np.stack(first) - np.stack(second))
 
 
 def gaps_between(

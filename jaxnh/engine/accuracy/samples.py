@@ -161,8 +161,8 @@ def _stays_finite(maps: SampleMaps, samples: Samples, images: State, lost: Bool[
 
 def _settles(maps: SampleMaps, samples: Samples, steps: int, states: State) -> bool:
     """Return whether images of states of sample lanes are roughly right with so many steps a period."""
-    here = samples._replace(states=states)
-    coarser, finer = (maps.image(maps.of(maps.scheme.reference, n), here) for n in (steps, 2 * steps))
+    settled = samples._replace(states=states)
+    coarser, finer = (maps.image(maps.of(maps.scheme.reference, n), settled) for n in (steps, 2 * steps))
     gaps = gaps_between(differences(coarser, finer), rough_sizes(maps, image_of(states), finer))
     return bool(np.all(gaps < _SEED_ERROR))
 

@@ -158,9 +158,9 @@ def _is_free(maps: SampleMaps, paths: Samples, escaping: Bool[np.ndarray, "lanes
         moved = [leaf + turned if i == component else leaf for i, leaf in enumerate(leaves)]
         moved_paths = paths._replace(states=jax.tree.unflatten(structure, moved))
         rates.append(np.where(escaping, np.nan, _rates_on(maps, moved_paths)))
-    here, half, whole = rates
+    first, half, whole = rates
     by_half, by_turn, own = (
-        np.max(_largest(np.abs(difference)), axis=1) for difference in (half - here, whole - here, here)
+        np.max(_largest(np.abs(difference)), axis=1) for difference in (half - first, whole - first, first)
     )
     return bool(np.all(by_turn <= _SAME_RATES * by_half + _UNRELATED * own))
 

@@ -189,8 +189,8 @@ class ClassSearch:
         gaps = self._error(image, jax.tree.map(np.ravel, met)).reshape(-1, periods)
         return gaps, jax.tree.map(lambda leaf: leaf[:, -1], met)
 
-    def _apart(self, one: int, other: int, state: State, p: Parameters) -> Float[np.ndarray, " lanes"]:
-        images = [self.lanes.iterate(self._map(halvings), 1, (state, p)) for halvings in (one, other)]
+    def _apart(self, first: int, second: int, state: State, p: Parameters) -> Float[np.ndarray, " lanes"]:
+        images = [self.lanes.iterate(self._map(halvings), 1, (state, p)) for halvings in (first, second)]
         return self._error(*images)
 
     def _error(self, image: State, finer: State) -> Float[np.ndarray, " lanes"]:

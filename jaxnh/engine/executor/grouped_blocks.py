@@ -45,16 +45,16 @@ def group_into_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], 
     groups, counts = np.unique(group, return_counts=True)
     ends, blocks = np.cumsum(counts), -(-counts // block)
     # Lane k of block j of a group that begins at `first` is number first + j block + k, or the group's last.
-    of = np.repeat(np.arange(len(groups)), blocks)
-    begun = np.arange(len(of)) - np.repeat(np.cumsum(blocks) - blocks, blocks)
-    number = (ends - counts)[of, None] + begun[:, None] * block + np.arange(block)
-    chosen = order[np.minimum(number, ends[of, None] - 1)]
+    owner = np.repeat(np.arange(len(groups)), blocks)
+    start = np.arange(len(owner)) - np.repeat(np.cumsum(blocks) - blocks, blocks)
+    number = (ends - counts)[owner, None] + start[:, None] * block + np.arange(block)
+    chosen = order[np.minimum(number, ends[owner, None] - 1)]
     first = np.argsort(chosen[:, 0], kind="stable")
-    chosen, of = chosen[first], of[first]
+    chosen, owner = chosen[first], owner[first]
     back = np.empty(len(group), int)
     back[chosen.ravel()[::-1]] = np.arange(chosen.size)[::-1]
     moved = jax.tree.map(lambda leaf: leaf[chosen], lanes)
-    return Blocks(groups[of].astype(np.int32), moved, back, size // block)
+    return Blocks(groups[owner].astype(np.int32), moved, back, size // block)
 
 
 def evaluate_in_group(*arguments: Any) -> Any:

@@ -32,9 +32,9 @@ def run_side_by_side(
             yield batch
 
     with ThreadPoolExecutor(len(runners)) as workers:
-        begun = [workers.submit(in_turn, taken(), runner) for runner in runners]
+        futures = [workers.submit(in_turn, taken(), runner) for runner in runners]
         try:
-            for end in as_completed(begun):
+            for end in as_completed(futures):
                 end.result()
         finally:
             left.clear()

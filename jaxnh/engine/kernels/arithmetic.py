@@ -137,12 +137,12 @@ def _neutral(name: str, kinds: Sequence[str], row: Sequence[Any]) -> Any:
     """Return the operand that a sum with zero or a product with one is, as XLA has it; None where it is neither."""
     if len(row) != 2 or kinds[0] not in ("double", "float"):
         return None
-    zero, one = ([is_known(x) and x == number for x in row] for number in (0.0, 1.0))
-    if name in ("add", "add_any") and any(zero):
-        return row[0] if zero[1] else row[1]
-    if name == "mul" and any(one):
-        return row[0] if one[1] else row[1]
-    right = (name == "sub" and zero[1]) or (name == "div" and one[1])
+    zeros, ones = ([is_known(x) and x == number for x in row] for number in (0.0, 1.0))
+    if name in ("add", "add_any") and any(zeros):
+        return row[0] if zeros[1] else row[1]
+    if name == "mul" and any(ones):
+        return row[0] if ones[1] else row[1]
+    right = (name == "sub" and zeros[1]) or (name == "div" and ones[1])
     return row[0] if right else None
 
 
@@ -271,8 +271,8 @@ def cumulative(emitter: Emitter, equation: Any, inputs: Sequence[Value]) -> list
     step = 1 if params["reverse"] else -1
     for k in order:
         for place in np.ndindex(rows.shape[1:]):
-            before, here = (text_of(rows[(j, *place)], value.kind) for j in (k + step, k))
-            rows[(k, *place)] = emitter.let(value.kind, f"{before} {mark} {here}")
+            before, value_text = (text_of(rows[(j, *place)], value.kind) for j in (k + step, k))
+            rows[(k, *place)] = emitter.let(value.kind, f"{before} {mark} {value_text}")
     return [Scalars(np.moveaxis(rows, 0, params["axis"]), value.kind)]
 
 

@@ -222,8 +222,8 @@ def _with_elements(emitter: Emitter, value: Scalars, base: Any, offsets: np.ndar
             elements[base + offset] = new
             continue
         for k, old in enumerate(elements):
-            here = f"{base} + {offset} == {k} ? {text_of(new, value.kind)} : {text_of(old, value.kind)}"
-            elements[k] = emitter.let(value.kind, here)
+            element = f"{base} + {offset} == {k} ? {text_of(new, value.kind)} : {text_of(old, value.kind)}"
+            elements[k] = emitter.let(value.kind, element)
     return filled(value.shape, value.kind, elements)
 
 

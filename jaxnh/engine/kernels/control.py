@@ -139,8 +139,8 @@ def _written_out(
     count, carried = p["length"], _counts(p)[1]
     carries, rows = [*inits], [list[Value]() for _ in p["jaxpr"].jaxpr.outvars[carried:]]
     for k in reversed(range(count)) if p["reverse"] else range(count):
-        here = [rearranged(emitter, lambda x, k=k: x[k], [value]) for value in entries]
-        (*values,) = emitter.evaluate(*_opened(p["jaxpr"]), [*consts, *carries, *here])
+        entry = [rearranged(emitter, lambda x, k=k: x[k], [value]) for value in entries]
+        (*values,) = emitter.evaluate(*_opened(p["jaxpr"]), [*consts, *carries, *entry])
         carries = values[:carried]
         for row, value in zip(rows, values[carried:], strict=True):
             row.append(value)

@@ -29,16 +29,16 @@ def capability_of(device: Any) -> str:
     return "" if capability is None or _nvrtc() is None else capability[1] + capability[2]
 
 
-def find_kernel(function: Callable[..., Any], shared: Any, one: Any) -> Kernel | None:
+def find_kernel(function: Callable[..., Any], shared: Any, lane: Any) -> Kernel | None:
     """Return the kernel of function(shared, lane), or None: it has an operation that kernels do not know.
 
     Args:
         function: pure function of what all lanes share and of one lane.
         shared: pytree of shapes and types.
-        one: pytree of shapes and types of a lane.
+        lane: pytree of shapes and types of a lane.
     """
     try:
-        return write_kernel(function, shared, one)
+        return write_kernel(function, shared, lane)
     except UnsupportedError as error:
         _LOG.info("no kernel of %s: %s", getattr(function, "__name__", function), error)
         return None

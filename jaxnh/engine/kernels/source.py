@@ -37,23 +37,23 @@ class Kernel(NamedTuple):
     structure: Any
 
 
-def write_kernel(function: Callable[..., Any], shared: Any, one: Any) -> Kernel:
+def write_kernel(function: Callable[..., Any], shared: Any, lane: Any) -> Kernel:
     """Write the kernel of function(shared, lane), for any number of lanes.
 
     Args:
         function: pure function of what all lanes share and of one lane.
         shared: pytree of shapes and types.
-        one: pytree of shapes and types of a lane.
+        lane: pytree of shapes and types of a lane.
 
     Raises:
         UnsupportedError: the function has an operation that kernels do not know.
     """
-    closed, out = jax.make_jaxpr(function, return_shape=True)(shared, one)
+    closed, out = jax.make_jaxpr(function, return_shape=True)(shared, lane)
     emitter = Emitter(_rules())
     inputs, declared = [], list[str]()
     for number, leaf in enumerate(jax.tree.leaves(shared)):
         inputs.append(_argument(emitter, f"p{number}", tuple(leaf.shape), leaf.dtype, declared))
-    for number, leaf in enumerate(jax.tree.leaves(one)):
+    for number, leaf in enumerate(jax.tree.leaves(lane)):
         name, size = f"q{number}", size_of(tuple(leaf.shape))
         inputs.append(_argument(emitter, name, tuple(leaf.shape), leaf.dtype, declared, f"lane * {size}LL"))
     values = emitter.evaluate(closed.jaxpr, closed.consts, inputs)

@@ -181,13 +181,13 @@ def _locate(
 
     (low, high), (below, above) = (0.0, 1.0), ends
     value, before = ends[0], 0
-    here: Solution | None = None
+    solution: Solution | None = None
     for _ in range(_SECANTS):
         s = (low * above - high * below) / (above - below)
-        here = at(s)
-        if not here.converged[0]:
+        solution = at(s)
+        if not solution.converged[0]:
             return None
-        value = float(test(here)[0])
+        value = float(test(solution)[0])
         if not np.isfinite(value):
             return None
         side = 1 if (value > 0.0) == (above > 0.0) else -1
@@ -200,4 +200,4 @@ def _locate(
         before = side
         if value == 0.0 or high - low < _KNOWN or abs(value) < _KNOWN * max(abs(e) for e in ends):
             break
-    return here if abs(value) <= _POLE * min(abs(e) for e in ends) else None
+    return solution if abs(value) <= _POLE * min(abs(e) for e in ends) else None

@@ -120,9 +120,9 @@ def special_connections(problem: Problem, curve: ConnectionCurve) -> list[tuple[
     special = list[tuple[int, SpecialConnection]]()
     for number, stretch in enumerate(curve.stretches):
         orbits = [_orbit(problem, point) for point in stretch.points]
-        for k, (one, other) in enumerate(itertools.pairwise(orbits)):
+        for k, (first, second) in enumerate(itertools.pairwise(orbits)):
             for test in _TESTS:
-                ends = _test(test, one, one), _test(test, other, one)
+                ends = _test(test, first, first), _test(test, second, first)
                 least = _NOISE if test[0] in (_ORBIT, _INCLINATION) else 0.0
                 if np.isfinite(ends).all() and ends[0] * ends[1] < 0.0 and min(map(abs, ends)) > least:
                     point = _locate(problem, stretch, k, test, ends)
@@ -267,14 +267,14 @@ def _false_position(value: Callable[[float], float], ends: tuple[float, float]) 
     (low, high), (below, above) = (0.0, 1.0), ends
     for _ in range(_SECANTS):
         share = (low * above - high * below) / (above - below)
-        here = value(share)
-        if not np.isfinite(here):
+        test = value(share)
+        if not np.isfinite(test):
             return None
-        if here == 0.0 or abs(share - high) <= _KNOWN:
+        if test == 0.0 or abs(share - high) <= _KNOWN:
             return share
-        if here * above < 0.0:
+        if test * above < 0.0:
             low, below = high, above
         else:
             below *= 0.5
-        high, above = share, here
+        high, above = share, test
     return high

@@ -125,8 +125,8 @@ def _bogdanov_takens(plane: FieldPlane, at: LinearisedEquilibria) -> tuple[float
     p0 = np.linalg.solve(bordered.T, np.append(p1, 0.0))[:-1]
     p0 = p0 - (p0 @ q1) * p1
 
-    def form(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return np.real(multilinear(plane, at, [one[None], other[None]])[0])
+    def form(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return np.real(multilinear(plane, at, [first[None], second[None]])[0])
 
     a = 0.5 * p1 @ form(q0, q0)
     b = p0 @ form(q0, q0) + p1 @ form(q0, q1)

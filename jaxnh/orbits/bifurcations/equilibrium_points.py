@@ -173,8 +173,8 @@ def _is_neutral(plane: FieldPlane, kind: int, point: EquilibriumPoint) -> bool:
     if kind == HOPF and point.point.kind == ZERO_HOPF:
         return False
     values = _others(plane, kind, point.solution)[0]
-    one, other = min(itertools.combinations(values, 2), key=lambda pair: abs(pair[0] + pair[1]))
-    return abs(one.imag) <= abs(one.real) or abs(other.imag) <= abs(other.real)
+    first, second = min(itertools.combinations(values, 2), key=lambda pair: abs(pair[0] + pair[1]))
+    return abs(first.imag) <= abs(first.real) or abs(second.imag) <= abs(second.real)
 
 
 # ---- their zeros

@@ -180,15 +180,15 @@ def _linearise(
     n, d = orbit.shape
     values = np.full(n, value)
     away = _DIFFERENCE / np.linalg.norm(vector / size, axis=1)[:, None]
-    here, ahead, behind = (slopes(orbit + sign * away * vector, values) for sign in (0.0, 1.0, -1.0))
-    assert here.by_parameter is not None
+    centre, ahead, behind = (slopes(orbit + sign * away * vector, values) for sign in (0.0, 1.0, -1.0))
+    assert centre.by_parameter is not None
     assert ahead.by_parameter is not None
     assert behind.by_parameter is not None
-    blocks = np.asarray(here.monodromy)
+    blocks = np.asarray(centre.monodromy)
     second = (np.asarray(ahead.monodromy) - np.asarray(behind.monodromy)) / (2.0 * away[:, :, None])
     mixed = (np.asarray(ahead.by_parameter) - np.asarray(behind.by_parameter)) / (2.0 * away)
     closed = cyclic.eliminate(blocks, np.tile(-np.eye(d), (n, 1, 1)))
-    by_value = cyclic.solve(closed, -np.asarray(here.by_parameter))
+    by_value = cyclic.solve(closed, -np.asarray(centre.by_parameter))
     column = np.einsum("nij,nj->ni", second, by_value) + mixed
     return _Linear(closed, _reversed_equations(blocks), by_value, second, column)
 

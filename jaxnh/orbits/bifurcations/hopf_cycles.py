@@ -110,11 +110,11 @@ def first_cycles(
     cycles = list[PathVector]()
     for point in points:
         guesses = [(cycle_at(point, plane, r), cycle_at(point, plane, (1.0 + _SHIFT) * r)) for r in amplitudes]
-        pairs = [(one, more) for one, more in guesses if one is not None and more is not None]
+        pairs = [(near, far) for near, far in guesses if near is not None and far is not None]
         if not pairs:
             continue
-        at, more = (PathVector(*map(np.concatenate, zip(*side, strict=True))) for side in zip(*pairs, strict=True))
-        across = PathVector(more.points - at.points, more.value - at.value)
+        at, far = (PathVector(*map(np.concatenate, zip(*side, strict=True))) for side in zip(*pairs, strict=True))
+        across = PathVector(far.points - at.points, far.value - at.value)
         orbits = correct(family, at.points, at.value, across, FINE)
         inside = orbits.converged & (orbits.value >= family.low) & (orbits.value <= family.high)
         for k in np.flatnonzero(inside)[:1]:

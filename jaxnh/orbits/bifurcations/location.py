@@ -58,7 +58,7 @@ class Brackets(NamedTuple):
     branch: Int[np.ndarray, " some"]
     place: Int[np.ndarray, " some"]
     kind: Int[np.ndarray, " some"]
-    begun: PathVector
+    start: PathVector
     chord: PathVector
     ways: tuple[PathVector, PathVector]
 
@@ -71,7 +71,7 @@ class BifurcationPoints(NamedTuple):
         value: of the parameter, by the polynomial: where two branches cross no orbit by itself decides it, (some,).
         error: of the value of the parameter, by rounding and interpolation, (some,).
         bend: second derivative of the parameter along the curve, in widths of the range, (some,).
-        orbits: there.
+        orbits: at the zeros.
         exists: whether there is one, (some,).
         nodes: orbits at `NODES` over the chord, (some, nodes, n, d) and (some, nodes).
     """
@@ -111,10 +111,10 @@ def brackets(family: Family, branches: Sequence[Branch]) -> Brackets | None:
             np.stack([b.way.points[i] for b, i in rows]), np.array([b.way.value[i] for b, i in rows])
         )
 
-    (begun, first), (ended, second) = at(0), at(1)
-    chord = PathVector(ended.points - begun.points, ended.value - begun.value)
+    (start, first), (end, second) = at(0), at(1)
+    chord = PathVector(end.points - start.points, end.value - start.value)
     size = length(family, chord)
-    return Brackets(branch, place, kind, begun, chord, (times(size, first), times(size, second)))
+    return Brackets(branch, place, kind, start, chord, (times(size, first), times(size, second)))
 
 
 def _real_and_far(values: Complex[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:
@@ -144,7 +144,7 @@ def locate(
     count = len(stretch.kind)
     share, none = np.full(count, 0.5) if near is None else near.share.copy(), np.full(count, np.nan)
     value, error, bend, exists = none, np.full(count, np.inf), np.zeros(count), np.zeros(count, bool)
-    rounds, begun = np.zeros(count, int), np.full(count, half)
+    rounds, start = np.zeros(count, int), np.full(count, half)
     along, widths, open_ = _cubics(stretch) if near is None else near.nodes, np.full(count, half), np.arange(count)
     for number in range(_ROUNDS + _CLOSER):
         part, of_part = (jax.tree.map(lambda leaf, o=open_: leaf[o], tree) for tree in (stretch, along))
@@ -158,12 +158,12 @@ def locate(
         if near is None and not number:
             along.points[whole], along.value[whole] = nodes.points.reshape(along.points.shape)[whole], values[whole]
         with np.errstate(invalid="ignore"):
-            good = whole & np.isfinite(root) & (blur < _NOISE * begun[open_]) & (off < 0.25 * error[open_])
+            good = whole & np.isfinite(root) & (blur < _NOISE * start[open_]) & (off < 0.25 * error[open_])
         closer, low, high = _around_change(tests, whole & ~good & ~exists[open_])
         there = open_[closer]
         share[there] += 0.5 * widths[there] * (low + high)
         widths[there] *= 0.5 * (high - low)
-        begun[there] = widths[there]
+        start[there] = widths[there]
         open_, width, root = open_[good], widths[open_][good], root[good]
         share[open_] += width * root
         value[open_], error[open_], exists[open_] = at_root[good], off[good], True
@@ -237,11 +237,11 @@ def critical(family: Family, values: Complex[np.ndarray, "some d"]) -> Complex[n
 
 def _cubics(stretch: Brackets) -> PathVector:
     """Cubics through both ends of chords at `NODES` over them."""
-    begun, chord, (first, second) = stretch.begun, stretch.chord, stretch.ways
+    start, chord, (first, second) = stretch.start, stretch.chord, stretch.ways
     s = 0.5 + 0.5 * NODES
     parts = (s * s * (3.0 - 2.0 * s), chord), (s * (1.0 - s) ** 2, first), (-s * s * (1.0 - s), second)
-    points = begun.points[:, None] + sum(weight[:, None, None] * way.points[:, None] for weight, way in parts)
-    return PathVector(points, begun.value[:, None] + sum(weight * way.value[:, None] for weight, way in parts))
+    points = start.points[:, None] + sum(weight[:, None, None] * way.points[:, None] for weight, way in parts)
+    return PathVector(points, start.value[:, None] + sum(weight * way.value[:, None] for weight, way in parts))
 
 
 def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, "some k"], along: PathVector) -> CurveOrbits:
@@ -251,10 +251,10 @@ def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, "some k"
     points = np.sum(weights[..., None, None] * along.points[:, None], axis=2).reshape(-1, *along.points.shape[2:])
     value = np.sum(weights * along.value[:, None], axis=2).ravel()
     stretch = jax.tree.map(lambda leaf: np.repeat(leaf, share.shape[1], axis=0), stretch)
-    begun, chord = stretch.begun, stretch.chord
+    start, chord = stretch.start, stretch.chord
     # Onto the hyperplane: the polynomial's own share of the chord is not quite the one asked for.
     size = inner(family, chord, chord)
-    gone = inner(family, PathVector(points - begun.points, value - begun.value), chord) / size
+    gone = inner(family, PathVector(points - start.points, value - start.value), chord) / size
     more = times(share.ravel() - gone, chord)
     across, near = times(1.0 / np.sqrt(size), chord), NEAR * np.sqrt(size)
     guess = points + more.points, value + more.value
@@ -298,13 +298,13 @@ def _crossing_directions(
     parts = (6.0 * s * left, stretch.chord), (left * (1.0 - 3.0 * s), first), (s * (3.0 * s - 2.0), second)
     ways = [times(weight, way) for weight, way in parts]
     along = PathVector(np.sum([way.points for way in ways], axis=0), np.sum([way.value for way in ways], axis=0))
-    one, other = orbits.way, orbits.other_way
-    a, b = inner(family, along, one), inner(family, along, other)
+    way, other_way = orbits.way, orbits.other_way
+    a, b = inner(family, along, way), inner(family, along, other_way)
     size = np.hypot(a, b)
     a, b = np.where(size > 0.0, a / size, 1.0), np.where(size > 0.0, b / size, 0.0)
     crossing = stretch.kind == BRANCH_POINT
     a, b = np.where(crossing, a, 1.0), np.where(crossing, b, 0.0)
-    return minus(times(a, one), -b, other), minus(times(a, other), b, one)
+    return minus(times(a, way), -b, other_way), minus(times(a, other_way), b, way)
 
 
 def _own_test(family: Family, nodes: CurveOrbits, kind: Int[np.ndarray, " nodes"]) -> Float[np.ndarray, " nodes"]:

@@ -64,10 +64,10 @@ def cubic(family: Family, orbits: CurveOrbits, kind: Int[np.ndarray, " some"]) -
         q = _normal(family, at_points, _null(at_points.blocks, z, real))
         parts = (np.real(q),) if real else (np.real(q), np.imag(q))
         moved = _moved_blocks(family, at_points, parts)
-        one, two = (
+        first, two = (
             _coefficient(family, at_points, q, z, real, h, moved[:, k]) for k, h in enumerate((_SHIFT, 2.0 * _SHIFT))
         )
-        result.coefficient[subset], result.error[subset] = one, np.abs(two - one)
+        result.coefficient[subset], result.error[subset] = first, np.abs(two - first)
         result.vectors[subset] = q
     with np.errstate(invalid="ignore"):
         sure = np.abs(result.coefficient) > _CERTAIN * result.error
@@ -132,14 +132,14 @@ def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 def _cycle(blocks: np.ndarray, z: Complex[np.ndarray, " some"], real: bool) -> cyclic.Cyclic:
     """M_i y_i − y_{i+1} with y_n = z y_0, of real and imaginary parts one after the other where z is complex."""
     d = blocks.shape[-1]
-    one = np.eye(d)
+    identity = np.eye(d)
     if not real:
         blocks = np.concatenate(
             [np.concatenate([blocks, 0 * blocks], axis=-1), np.concatenate([0 * blocks, blocks], axis=-1)], axis=-2
         )
     there = np.zeros_like(blocks)
     there[:] = -np.eye(blocks.shape[-1])
-    x, y = np.real(z)[:, None, None] * one, np.imag(z)[:, None, None] * one
+    x, y = np.real(z)[:, None, None] * identity, np.imag(z)[:, None, None] * identity
     there[:, -1] = -x if real else -np.concatenate([np.concatenate([x, -y], 2), np.concatenate([y, x], 2)], 1)
     return cyclic.eliminate(blocks, there)
 

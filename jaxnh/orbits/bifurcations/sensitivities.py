@@ -50,12 +50,12 @@ class OrbitMotion(NamedTuple):
 
     Attributes:
         column: ∂P/∂q at each point, (n, d).
-        column_error: of it.
+        column_error: error of `column`.
         points: du/dq, (n, d); not a number where the orbit has a multiplier one, zero where it is held.
         blocks: dM/dq along the motion, (n, d, d).
-        blocks_error: of it.
+        blocks_error: error of `blocks`.
         time: derivative of the time of return of each point, (n,); empty where it is not asked for.
-        time_error: of it.
+        time_error: error of `time`.
     """
 
     column: Float[np.ndarray, "n d"]
@@ -161,11 +161,11 @@ def _motion(blocks: Float[np.ndarray, "n d d"], column: Float[np.ndarray, "n d"]
 
 
 def _null_vectors(
-    here: Float[np.ndarray, "n d d"], there: Float[np.ndarray, "n d d"]
+    blocks: Float[np.ndarray, "n d d"], next_blocks: Float[np.ndarray, "n d d"]
 ) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d"]]:
     """Return y and z with A_i y_i + B_i y_{i+1} = 0 and A_iᵀ z_i + B_{i−1}ᵀ z_{i−1} = 0, nearly."""
-    right = cyclic.null_vector(cyclic.eliminate(here, there))
-    transposed = np.swapaxes(here, -1, -2)[::-1], np.swapaxes(np.roll(there, 1, axis=0), -1, -2)[::-1]
+    right = cyclic.null_vector(cyclic.eliminate(blocks, next_blocks))
+    transposed = np.swapaxes(blocks, -1, -2)[::-1], np.swapaxes(np.roll(next_blocks, 1, axis=0), -1, -2)[::-1]
     return right, cyclic.null_vector(cyclic.eliminate(*transposed))[::-1]
 
 

@@ -96,8 +96,8 @@ def phase_response(problem: Problem, cycles: BoundarySolution, lift: Float[np.nd
     """
     lanes, count, d = cycles.path.stages.shape[0], cycles.path.stages.shape[1], cycles.path.stages.shape[3]
     blocks = linearise(problem, cycles, closure(problem, lift)(cycles, np.arange(lanes))).blocks
-    here = np.broadcast_to(-np.eye(d), blocks.shape)
-    psi = cyclic.null_vector(cyclic.eliminate(here, np.swapaxes(blocks, -1, -2)))
+    diagonal = np.broadcast_to(-np.eye(d), blocks.shape)
+    psi = cyclic.null_vector(cyclic.eliminate(diagonal, np.swapaxes(blocks, -1, -2)))
     states, values = cycles.path.ends[:, :-1].reshape(-1, d), np.repeat(cycles.values, count, axis=0)
     rate = np.asarray(problem.field(states, np.zeros(len(states)), values).rate).reshape(psi.shape) / problem.size
     products = np.sum(psi * rate, axis=2)

@@ -74,7 +74,7 @@ def doubling_test(point: CyclePoint) -> float:
 
 def torus_test(point: CyclePoint) -> float:
     """∏ (1 − μ_i μ_j)/(1 + |μ_i μ_j|) over i < j."""
-    pairs = [one * other for one, other in itertools.combinations(point.multipliers, 2)]
+    pairs = [first * second for first, second in itertools.combinations(point.multipliers, 2)]
     return _product([1.0 - mu for mu in pairs], np.abs(pairs))
 
 
@@ -110,9 +110,9 @@ def doubled_cycle(problem: Problem, point: CyclePoint, lift: Float[np.ndarray, "
     """A cycle of twice the duration near a doubling, with the direction away from it; None where none is met."""
     solution, n = point.solution, point.solution.path.stages.shape[1]
     boundary = closure(problem, lift[None])(solution, np.zeros(1, int))
-    blocks, one = linearise(problem, solution, boundary).blocks, np.eye(len(lift))[None, None]
-    there = np.concatenate([np.repeat(-one, n, axis=1), one], axis=1)
-    vector = cyclic.null_vector(cyclic.eliminate(np.concatenate([blocks, one], axis=1), there))
+    blocks, identity = linearise(problem, solution, boundary).blocks, np.eye(len(lift))[None, None]
+    there = np.concatenate([np.repeat(-identity, n, axis=1), identity], axis=1)
+    vector = cyclic.null_vector(cyclic.eliminate(np.concatenate([blocks, identity], axis=1), there))
     shares = gauss_rule(solution.path.stages.shape[2]).points[:, None]
     stages = vector[:, :-1, None] + shares * np.diff(vector, axis=1)[:, :, None]
 
@@ -127,9 +127,9 @@ def doubled_cycle(problem: Problem, point: CyclePoint, lift: Float[np.ndarray, "
         twice(path.stages, path.stages + lift, False),
     )
     way = combination([(1.0 / np.sqrt(inner(whole, way, way)), way)])
-    begun = BoundarySolution(whole, 2.0 * solution.duration, solution.values)
+    start = BoundarySolution(whole, 2.0 * solution.duration, solution.values)
     for away in _AWAY:
-        guess = moved(problem, begun, combination([(away, way)]))
+        guess = moved(problem, start, combination([(away, way)]))
         corrected = correct(problem, guess, closure(problem, 2.0 * lift[None]), lambda line, lanes: [way])
         if corrected.converged[0]:
             nearby = point_at(problem, corrected.solution, 2.0 * lift, way)
@@ -148,7 +148,7 @@ def _locate(
     """The point between two of a branch where a test function is zero, on the halves of the mesh; and the error."""
     path, scale = after.solution.path, abs(test(now)) + abs(test(after))
     near = after.solution, after.solution._replace(path=on_mesh(path, halved(path.mesh)))
-    coarse, fine = (_Chord(CollocationEquations(problem, one, lift), now, after, test) for one in near)
+    coarse, fine = (_Chord(CollocationEquations(problem, mesh, lift), now, after, test) for mesh in near)
     known = {0.0: test(now), 1.0: test(after)}
     try:
         share = float(brentq(lambda s: known.get(s) or coarse.test(s), 0.0, 1.0, xtol=_ROOT))  # pyright: ignore[reportArgumentType]

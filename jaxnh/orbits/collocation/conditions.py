@@ -78,7 +78,7 @@ class DurationCondition(NamedTuple):
         """The distance of a cycle, one lane, from the condition: the sign changes where a branch meets it."""
         return float(np.log(solution.duration[0] / self.duration))
 
-    def begun(self, solution: BoundarySolution) -> BoundarySolution:
+    def rotate_to_start(self, solution: BoundarySolution) -> BoundarySolution:
         """The same cycle."""
         return solution
 
@@ -140,7 +140,7 @@ class ExtremumCondition:
         values = self._sign * (_values(self._height, solution, states, shares) - self._level)
         return float(values.max())
 
-    def begun(self, solution: BoundarySolution) -> BoundarySolution:
+    def rotate_to_start(self, solution: BoundarySolution) -> BoundarySolution:
         """The cycle, one lane, from its extremum on."""
         states, shares = _sampled(solution)
         values = self._sign * _values(self._height, solution, states, shares)[0]
@@ -261,7 +261,7 @@ class MeanCondition:
         """The mean along a cycle, one lane, above the level; not a number where it is beyond what guards it."""
         return np.nan if _meets(solution, self._guards) else float(self.at(solution)[0].missing[0])
 
-    def begun(self, solution: BoundarySolution) -> BoundarySolution:
+    def rotate_to_start(self, solution: BoundarySolution) -> BoundarySolution:
         """The same cycle."""
         return solution
 
@@ -300,10 +300,10 @@ def first_point(
         z = equations.unknowns(guess._replace(path=path))
         across = np.zeros_like(z)
         across[:, -1] = equations.unit[-1]
-        begun = core.correct(equations, z, across, FINE)
-        if not begun.converged[0]:
+        start = core.correct(equations, z, across, FINE)
+        if not start.converged[0]:
             return None
-        [point] = equations.points(begun)
+        [point] = equations.points(start)
         guess = point.solution
     both, beyond = guess.values[0, -2:], conditions.endings(guess)
     outside = np.any((both < ends[0]) | (both > ends[1])) or any(each.any() for each in beyond.values())

@@ -30,23 +30,25 @@ def is_on_curve(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> 
     return _place(problem, curve, orbit) is not None
 
 
-def join_connections(problem: Problem, one: ConnectionCurve, other: ConnectionCurve) -> ConnectionCurve | None:
+def join_connections(problem: Problem, curve: ConnectionCurve, other: ConnectionCurve) -> ConnectionCurve | None:
     """The curve of two that overlap, as where one or both are cut; None where they do not."""
-    if not (one.stretches and other.stretches):
-        return None if one.stretches else other
-    first, last = (_place(problem, other, point) for point in _ends(one))
+    if not (curve.stretches and other.stretches):
+        return None if curve.stretches else other
+    first, last = (_place(problem, other, point) for point in _ends(curve))
     if first is not None and last is not None:
         return other
-    begun, ended = (_place(problem, one, point) for point in _ends(other))
-    if begun is not None and ended is not None:
-        return one
-    if (first is None) == (last is None) or (begun is None) == (ended is None):
+    start, end = (_place(problem, curve, point) for point in _ends(other))
+    if start is not None and end is not None:
+        return curve
+    if (first is None) == (last is None) or (start is None) == (end is None):
         return None
-    one, other = one if first is None else _reversed(one), other if ended is None else _reversed(other)
-    place = _place(problem, other, _ends(one)[1])
+    curve, other = curve if first is None else _reversed(curve), other if end is None else _reversed(other)
+    place = _place(problem, other, _ends(curve)[1])
     if place is None:
         return None
-    return ConnectionCurve([*one.stretches, *_from_place(other, place, _ends(one)[1])], (one.ends[0], other.ends[1]))
+    return ConnectionCurve(
+        [*curve.stretches, *_from_place(other, place, _ends(curve)[1])], (curve.ends[0], other.ends[1])
+    )
 
 
 def _ends(curve: ConnectionCurve) -> tuple[Connection, Connection]:

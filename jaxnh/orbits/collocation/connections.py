@@ -103,7 +103,7 @@ class ConnectionEquations(EquationsOfPaths):
 
     def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
         """Residuals, and the step of Newton and the direction of the curve; not finite where there is no saddle."""
-        rows = [self._evaluate(one) for one in z]
+        rows = [self._evaluate(unknowns) for unknowns in z]
         residual, slopes = (np.stack(leaves) for leaves in zip(*rows, strict=True))
         return Evaluation(residual, np.zeros((len(z), 0)), slopes)
 
@@ -112,7 +112,7 @@ class ConnectionEquations(EquationsOfPaths):
         return (z,)
 
     def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
-        """None of their own."""
+        """Connections have no endings of their own."""
         return {}, np.zeros(len(taken.z), bool)
 
     def _linear(self, orbit: BoundarySolution) -> NewtonSystem:
@@ -128,7 +128,7 @@ class ConnectionEquations(EquationsOfPaths):
         gap = self.unknowns(orbit) - self.unknowns(self._near.solution)
         passed = float(np.sum(gap[0] / self.unit * (self._flat(self._shift) / self.unit)))
         conditions = [self._shift, fixed(line, -1)]
-        matrix = np.stack([[inner(path, way, one)[0] for one in line.null] for way in conditions])
+        matrix = np.stack([[inner(path, way, direction)[0] for direction in line.null] for way in conditions])
         missing = np.stack([inner(path, way, line.particular)[0] for way in conditions])
         missing[0] += passed
         shares = np.linalg.lstsq(matrix, -missing)[0]
@@ -146,42 +146,42 @@ def connection_near(
     guess: BoundarySolution,
     departure: Float[np.ndarray, " d"],
     arrival: Float[np.ndarray, " d"],
-    free: int = 0,
 ) -> Connection | None:
-    """The connecting orbit near a path, at the value of the parameter that is not free; None where there is none.
+    """The connecting orbit near a path, at the value of the second parameter; None where there is none.
 
     Args:
         problem: the field, with two parameters.
         guess: one lane.
         departure, arrival: states near the saddles.
-        free: number of the parameter that is solved for.
     """
     values = guess.values[0]
-    one = _of_one_parameter(problem, values, free)
+    problem_of_one = _of_first_parameter(problem, values)
     try:
         saddles = saddle_at(problem, departure, values), saddle_at(problem, arrival, values)
         if len(saddles[0].unstable) != len(saddles[1].unstable):
             return None
-        first = guess._replace(values=values[None, free : free + 1])
-        solved = on_adapted_mesh(one, first, projections(one, *saddles), hold_duration, _INTERVALS, cyclic=False)
+        first = guess._replace(values=values[None, :1])
+        solved = on_adapted_mesh(
+            problem_of_one, first, projections(problem_of_one, *saddles), hold_duration, _INTERVALS, cyclic=False
+        )
         if not solved.converged[0]:
             return None
         both = values.copy()
-        both[free] = solved.solution.values[0, 0]
+        both[0] = solved.solution.values[0, 0]
         return adapted(
             problem,
             with_own_saddles(problem, Connection(solved.solution._replace(values=both[None]), *saddles)),
-            held=1 - free,
+            held=1,
         )
     except (InputError, np.linalg.LinAlgError):
         return None
 
 
 def follow_connections(
-    problem: Problem, begun: Connection, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"], steps: StepControl
+    problem: Problem, start: Connection, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"], steps: StepControl
 ) -> ConnectionCurve:
     """The curve through an orbit, from one end to the other, between the ends of both parameters' ranges."""
-    sides = [_follow(problem, begun, sign, low, high, steps) for sign in (1.0, -1.0)]
+    sides = [_follow(problem, start, sign, low, high, steps) for sign in (1.0, -1.0)]
     (ahead, last), (back, first) = sides
     return ConnectionCurve([*(reversed_stretch(stretch) for stretch in back[::-1]), *ahead], (first, last))
 
@@ -190,10 +190,10 @@ def follow_connections(
 
 
 def _follow(
-    problem: Problem, begun: Connection, sign: float, low: np.ndarray, high: np.ndarray, steps: StepControl
+    problem: Problem, start: Connection, sign: float, low: np.ndarray, high: np.ndarray, steps: StepControl
 ) -> tuple[list[Stretch], int]:
     """The curve from an orbit in one direction, stretch by stretch, and why it ends."""
-    stretches, left, size, now, toward = list[Stretch](), steps.max_steps, steps.ds, begun, None
+    stretches, left, size, now, toward = list[Stretch](), steps.max_steps, steps.ds, start, None
     while left > 0:
         equations = ConnectionEquations(problem, now, low, high)
         first = core.correct(equations, equations.unknowns(now.solution), tolerance=core.FINE)
@@ -262,13 +262,13 @@ def reversed_stretch(stretch: Stretch) -> Stretch:
     return Stretch(stretch.points[::-1], between)
 
 
-def _of_one_parameter(problem: Problem, values: Float[np.ndarray, " 2"], free: int) -> Problem:
-    """The problem with one of both parameters, the other one as it is."""
+def _of_first_parameter(problem: Problem, values: Float[np.ndarray, " 2"]) -> Problem:
+    """The problem with the first of both parameters, the second held."""
 
-    def field(y: np.ndarray, t: np.ndarray, one: np.ndarray):
+    def field(y: np.ndarray, t: np.ndarray, value: np.ndarray):
         both = np.tile(values, (len(y), 1))
-        both[:, free] = one[:, 0]
+        both[:, 0] = value[:, 0]
         at = problem.field(y, t, both)
-        return at._replace(by_parameters=np.asarray(at.by_parameters)[..., free : free + 1])
+        return at._replace(by_parameters=np.asarray(at.by_parameters)[..., :1])
 
-    return problem._replace(field=field, widths=problem.widths[free : free + 1])
+    return problem._replace(field=field, widths=problem.widths[:1])

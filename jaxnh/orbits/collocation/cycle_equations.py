@@ -175,7 +175,7 @@ class CollocationEquations(EquationsOfPaths):
 
     def carried(self, z: Float[np.ndarray, "lanes N"], others: CollocationEquations) -> Float[np.ndarray, "lanes M"]:
         """Unknowns or directions as those on the mesh of other equations."""
-        mesh, other = (np.broadcast_to(one, (len(z), one.shape[1])) for one in (self._mesh, others._mesh))
+        mesh, other = (np.broadcast_to(mesh_of, (len(z), mesh_of.shape[1])) for mesh_of in (self._mesh, others._mesh))
         path = on_mesh(PiecewisePath(mesh, *self._states(z)), other)
         states = (path.ends.reshape(len(z), -1), path.stages.reshape(len(z), -1))
         return np.concatenate([*states, z[:, -self._extra :]], axis=1)
@@ -232,8 +232,8 @@ class CollocationEquations(EquationsOfPaths):
             phase = Variation(*(np.repeat(leaf / size, lanes, axis=0) for leaf in self._shift))
             rows.append(partial(inner, solution.path, phase))
             gone.append(rows[0](self.variation(z - self._near)))
-        for one in () if conditions is None else conditions.at(solution):
-            scaled = one.scaled()
+        for condition in () if conditions is None else conditions.at(solution):
+            scaled = condition.scaled()
             rows.append(scaled.change)
             gone.append(scaled.missing)
         return rows, gone
@@ -264,9 +264,9 @@ class CollocationEquations(EquationsOfPaths):
         """Return whether steps pass the first point."""
         if len(self._passed) <= _LEAST_LOOP:
             return np.zeros(len(step), bool)
-        begun, second = (invariants(self._problem, point.solution)[0] for point in self._passed[:2])
-        gone, come = (invariants(self._problem, part) - begun for part in (before, after))
-        passes = (gone @ (second - begun) < 0.0) & (come @ (second - begun) >= 0.0)
+        first, second = (invariants(self._problem, point.solution)[0] for point in self._passed[:2])
+        gone, come = (invariants(self._problem, part) - first for part in (before, after))
+        passes = (gone @ (second - first) < 0.0) & (come @ (second - first) >= 0.0)
         return passes & (np.linalg.norm(come, axis=1) <= 2.0 * step)
 
     def _states(self, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray]:

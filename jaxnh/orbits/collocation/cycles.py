@@ -62,9 +62,9 @@ def closure(problem: Problem, lift: Float[np.ndarray, "lanes d"]) -> BoundaryOf:
     def boundary(solution: BoundarySolution, lanes: Int[np.ndarray, " lanes"]) -> BoundaryConditions:
         ends = solution.path.ends
         d = ends.shape[2]
-        one = np.broadcast_to(np.eye(d), (len(lanes), d, d))
+        identity = np.broadcast_to(np.eye(d), (len(lanes), d, d))
         extra = np.zeros((len(lanes), d, 1 + solution.values.shape[1]))
-        return BoundaryConditions(-one, one, extra, (ends[:, 0] + lift[lanes] - ends[:, -1]) / problem.size)
+        return BoundaryConditions(-identity, identity, extra, (ends[:, 0] + lift[lanes] - ends[:, -1]) / problem.size)
 
     return boundary
 

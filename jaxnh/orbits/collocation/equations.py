@@ -126,10 +126,10 @@ class NewtonSystem(NamedTuple):
     residual: Float[np.ndarray, " lanes"]
 
 
-def inner(path: PiecewisePath, one: Variation, other: Variation) -> Float[np.ndarray, " lanes"]:
+def inner(path: PiecewisePath, first: Variation, second: Variation) -> Float[np.ndarray, " lanes"]:
     """Inner products: the mean over the path, and those of the duration and parameters."""
-    by_path = np.sum(path.measure * np.sum(one.stages * other.stages, axis=3), axis=(1, 2))
-    return by_path + np.sum(one.extra * other.extra, axis=1)
+    by_path = np.sum(path.measure * np.sum(first.stages * second.stages, axis=3), axis=(1, 2))
+    return by_path + np.sum(first.extra * second.extra, axis=1)
 
 
 def combination(terms: Sequence[tuple[np.ndarray | float, Variation]]) -> Variation:
@@ -211,7 +211,7 @@ def linearise(problem: Problem, solution: BoundarySolution, boundary: BoundaryCo
         inside = np.concatenate([inside, np.full((lanes, n, 1), known)], axis=2)
         return Variation(y, (stages @ inside[:, :, None, :, None])[..., 0], x)
 
-    directions = [variation(*one, 0.0) for one in null]
+    directions = [variation(*direction, 0.0) for direction in null]
     divergence = np.sum(path.measure * np.trace(at.jacobian, axis1=3, axis2=4), axis=(1, 2))
     return NewtonSystem(blocks, variation(*least, 1.0), directions, bordered, at.rate, divergence, residual)
 
@@ -245,7 +245,7 @@ class PointCondition(NamedTuple):
     def change(self, way: Variation) -> Float[np.ndarray, " lanes"]:
         """The derivative along a variation."""
         parts = zip(self.gradient, way, strict=True)
-        return sum(np.sum(one * other, axis=tuple(range(1, one.ndim))) for one, other in parts)  # pyright: ignore[reportReturnType]
+        return sum(np.sum(slopes * changes, axis=tuple(range(1, slopes.ndim))) for slopes, changes in parts)  # pyright: ignore[reportReturnType]
 
     def scaled(self) -> PointCondition:
         """The same condition with a gradient of length one."""
@@ -272,26 +272,13 @@ Functional = Callable[[Variation], Float[np.ndarray, " lanes"]]
 """A linear function of variations, as the inner product with one."""
 
 
-def step_without(
-    path: PiecewisePath,
-    line: NewtonSystem,
-    directions: Sequence[Variation],
-    gone: Float[np.ndarray, "lanes k"] | float = 0.0,
-) -> Variation:
-    """The step of Newton that is orthogonal to as many directions as there are solutions without right-hand sides.
-
-    Or takes back what solutions have `gone` along them.
-    """
-    return step_of(line, [partial(inner, path, way) for way in directions], gone)
-
-
 def step_of(
     line: NewtonSystem, rows: Sequence[Functional], gone: Float[np.ndarray, "lanes k"] | float = 0.0
 ) -> Variation:
     """The step of Newton along which as many functionals as there are solutions without right-hand sides take back."""
     right = -np.stack([row(line.particular) for row in rows], axis=1) - gone
     shares = np.linalg.solve(_functional_matrix(line, rows), right[..., None])[..., 0]
-    return combination([(1.0, line.particular), *((shares[:, k], one) for k, one in enumerate(line.null))])
+    return combination([(1.0, line.particular), *((shares[:, k], direction) for k, direction in enumerate(line.null))])
 
 
 def bordered_sign(line: NewtonSystem, rows: Sequence[Functional]) -> Float[np.ndarray, " lanes"]:
@@ -305,7 +292,7 @@ def bordered_sign(line: NewtonSystem, rows: Sequence[Functional]) -> Float[np.nd
 
 
 def _functional_matrix(line: NewtonSystem, rows: Sequence[Functional]) -> Float[np.ndarray, "lanes r k"]:
-    return np.moveaxis(np.stack([[row(one) for one in line.null] for row in rows]), 2, 0)
+    return np.moveaxis(np.stack([[row(direction) for direction in line.null] for row in rows]), 2, 0)
 
 
 def direction_without(path: PiecewisePath, line: NewtonSystem, directions: Sequence[Variation]) -> Variation:
@@ -318,16 +305,16 @@ def direction_of(path: PiecewisePath, line: NewtonSystem, rows: Sequence[Functio
     gram = np.moveaxis(np.stack([[inner(path, a, b) for b in line.null] for a in line.null]), 2, 0)
     shares = np.linalg.svd(_functional_matrix(line, rows))[2][:, -1]
     lengths = np.sqrt(np.einsum("li,lij,lj->l", shares, gram, shares))
-    return combination([(shares[:, k] / lengths, one) for k, one in enumerate(line.null)])
+    return combination([(shares[:, k] / lengths, direction) for k, direction in enumerate(line.null)])
 
 
 def orthonormal(path: PiecewisePath, line: NewtonSystem) -> NewtonSystem:
-    """The same with solutions without right-hand sides that are orthonormal, of one lane.
+    """Newton's system of one lane with orthonormal null solutions.
 
     Those of `linearise` are of length one where a path begins. Near a saddle they grow from there by as many powers of
     ten as the path is near, and are nearly the shift along the orbit, all of them.
     """
     weights = np.sqrt(np.broadcast_to(path.measure[..., None], line.rate.shape)).ravel()
-    columns = [np.concatenate([weights * one.stages.ravel(), one.extra.ravel()]) for one in line.null]
+    columns = [np.concatenate([weights * direction.stages.ravel(), direction.extra.ravel()]) for direction in line.null]
     shares = np.linalg.inv(np.linalg.qr(np.stack(columns, axis=1), mode="r"))
     return line._replace(null=[combination(list(zip(column, line.null, strict=True))) for column in shares.T])

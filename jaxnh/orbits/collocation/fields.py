@@ -22,7 +22,7 @@ def point_rates(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, 
 
 
 def timed_rates(flow: Flow, u: Float[Array, " d"], t: ArrayLike, p: Parameters, names: tuple[str, ...]) -> FieldValues:
-    """The same with the derivative in time before those in parameters."""
+    """The rates at a point, with the derivative in time before those in parameters."""
 
     def at_time(t: ArrayLike) -> Array:
         rate, values = _rate_and_values(flow, u, t, p, names)

@@ -40,36 +40,34 @@ class CycleBranch(NamedTuple):
 
 def follow_cycles(
     problem: Problem,
-    begun: CyclePoint,
+    start: CyclePoint,
     lift: Float[np.ndarray, " d"],
     ends: Ends,
     steps: StepControl,
-    begin: int = START,
     conditions: CycleConditions | None = None,
 ) -> CycleBranch:
     """The branch from a cycle in the direction of its point, to where it ends.
 
     Args:
         problem: the field, with one parameter, or with conditions more.
-        begun: the first point.
+        start: the first point.
         lift: of the end of an orbit over its beginning.
         ends: of the ranges of the last parameters, the lower ones first.
         steps: how long steps are, and how many there may be.
-        begin: why the branch begins there.
         conditions: on cycles, beside what they are.
     """
-    points = [begun]
-    equations = CollocationEquations(problem, begun.solution, lift, ends, points, conditions)
-    path = _path(equations, core.correct(equations, *equations.of_point(begun), np.inf), steps)
+    points = [start]
+    equations = CollocationEquations(problem, start.solution, lift, ends, points, conditions)
+    path = _path(equations, core.correct(equations, *equations.of_point(start), np.inf), steps)
     while True:
         end, n = _steps(path, equations, points), _intervals(points[-1])
         if end is not None and (end != NO_CONVERGENCE or 2 * n > _MOST):
-            return CycleBranch(points, (begin, end))
+            return CycleBranch(points, (START, end))
         finer = 2 * n <= _MOST and (end is not None or not points[-1].fine)
         new = equations.adapted(points[-1].solution, 2 * n if finer else n)
         now = core.correct(new, *new.of_point(points[-1]))
         if not now.converged[0]:
-            return CycleBranch(points, (begin, NO_CONVERGENCE))
+            return CycleBranch(points, (START, NO_CONVERGENCE))
         points[-1:] = new.points(now)
         if end is None:
             path.move(new, now, partial(equations.carried, others=new))

@@ -119,9 +119,9 @@ def _boundary_of_lane(
     many = np.concatenate([values[None], values + shifts, values - shifts])
     rows = _rows(problem, departure, ends[0], many, "stable"), _rows(problem, arrival, ends[1], many, "unstable")
     missing = np.concatenate([gaps for _, gaps in rows], axis=1)
-    (begun, _), (ended, _) = rows
-    first = np.concatenate([begun[0], np.zeros((len(ended[0]), d))])
-    last = np.concatenate([np.zeros((len(begun[0]), d)), ended[0]])
+    (start, _), (end, _) = rows
+    first = np.concatenate([start[0], np.zeros((len(end[0]), d))])
+    last = np.concatenate([np.zeros((len(start[0]), d)), end[0]])
     extra, q = np.zeros((d, 1 + len(values))), len(values)
     extra[:, 1:] = (missing[1 : 1 + q] - missing[1 + q :]).T / (2.0 * _DIFFERENCE)
     return BoundaryConditions(first, last, extra, -missing[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -15,10 +16,11 @@ from jaxnh.orbits.collocation.equations import (
     NewtonSystem,
     Problem,
     Variation,
+    inner,
     linearise,
     moved,
     phase_condition,
-    step_without,
+    step_of,
 )
 from jaxnh.orbits.collocation.paths import adapted_mesh, on_mesh
 
@@ -41,7 +43,7 @@ class NewtonSolution(NamedTuple):
     """Solutions that Newton has come to.
 
     Attributes:
-        solution: they.
+        solution: path, duration and parameters of each lane.
         converged: whether Newton has come to rest, (lanes,).
         rounding: largest component of the last step, which is what rounding leaves, in sizes, (lanes,).
         extra_rounding: the same of the logarithm of the duration and of the parameters, in widths, (lanes, 1 + q).
@@ -90,7 +92,8 @@ def correct(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hol
         part = take(solution, open_)
         try:
             line = linearise(problem, part, boundary(part, open_))
-            step = step_without(part.path, line, [phase_condition(problem, line), *hold(line, open_)])
+            directions = [phase_condition(problem, line), *hold(line, open_)]
+            step = step_of(line, [partial(inner, part.path, direction) for direction in directions])
         except np.linalg.LinAlgError:
             if lanes == 1:
                 break
@@ -112,7 +115,7 @@ def correct(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hol
 
 
 def _lane_by_lane(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hold: Hold) -> NewtonSolution:
-    """The same where the equations of one lane are singular."""
+    """Solve lane by lane, where the equations of one lane are singular."""
 
     def one(lane: int) -> NewtonSolution:
         return correct(problem, take(guess, [lane]), *_of_lanes(boundary, hold, np.array([lane])))

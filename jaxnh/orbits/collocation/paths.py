@@ -141,7 +141,7 @@ def rotated(path: PiecewisePath, share: float, mesh: Float[np.ndarray, " k+1"]) 
 
 
 def path_through(
-    times: Float[np.ndarray, " k"], states: Float[np.ndarray, "k d"], n: int, m: int = DEGREE
+    times: Float[np.ndarray, " k"], states: Float[np.ndarray, "k d"], n: int
 ) -> tuple[PiecewisePath, float]:
     """Return a path of one lane through states at times, linear between them, and its duration.
 
@@ -154,7 +154,7 @@ def path_through(
     density = np.diff(share) + chords / np.sum(chords) + 1.0 / len(chords)
     passed = np.concatenate([[0.0], np.cumsum(density)])
     mesh = np.interp(np.linspace(0.0, passed[-1], n + 1), passed, share)[None]
-    places = _places(mesh, m)
+    places = _places(mesh, DEGREE)
 
     def between(at: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(at, share, column) for column in states.T], axis=-1)

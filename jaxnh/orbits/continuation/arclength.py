@@ -101,10 +101,10 @@ class CurveOrbits(NamedTuple):
         return jax.tree.map(some, self)
 
 
-def inner(family: Family, one: PathVector, other: PathVector) -> Float[np.ndarray, " lanes"]:
+def inner(family: Family, first: PathVector, second: PathVector) -> Float[np.ndarray, " lanes"]:
     """Inner products of ways."""
-    by_points = np.mean(np.sum((one.points / family.size) * (other.points / family.size), axis=2), axis=1)
-    return by_points + one.value * other.value / family.width**2
+    by_points = np.mean(np.sum((first.points / family.size) * (second.points / family.size), axis=2), axis=1)
+    return by_points + first.value * second.value / family.width**2
 
 
 def length(family: Family, way: PathVector) -> Float[np.ndarray, " lanes"]:
@@ -117,10 +117,10 @@ def times(factor: Float[np.ndarray, " lanes"], way: PathVector) -> PathVector:
     return PathVector(factor[:, None, None] * way.points, factor * way.value)
 
 
-def minus(one: PathVector, factor: Float[np.ndarray, " lanes"], other: PathVector) -> PathVector:
+def minus(first: PathVector, factor: Float[np.ndarray, " lanes"], second: PathVector) -> PathVector:
     """Ways less so many times others."""
-    more = times(factor, other)
-    return PathVector(one.points - more.points, one.value - more.value)
+    more = times(factor, second)
+    return PathVector(first.points - more.points, first.value - more.value)
 
 
 def along_parameter(family: Family, lanes: int, n: int) -> PathVector:

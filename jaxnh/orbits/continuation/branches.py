@@ -55,7 +55,7 @@ class Branch:
 
 def follow_both_ways(
     family: Family,
-    begun: CurveOrbits,
+    start: CurveOrbits,
     steps: StepControl = STEPS,
     wanted: Wanted | None = None,
     at_once: int | None = None,
@@ -64,7 +64,7 @@ def follow_both_ways(
 
     Args:
         family: the map.
-        begun: orbits, with the directions in which branches are followed first.
+        start: orbits, with the directions in which branches are followed first.
         steps: how branches are followed.
         wanted: asked for each orbit as its turn comes, with the branches that have come to both of their ends and the
             orbit's number; by default all are.
@@ -76,8 +76,8 @@ def follow_both_ways(
         branches.update({i: _branch(family, track) for i, track in tracks.items() if i not in branches})
         return wanted is None or wanted(list(branches.values()), k)
 
-    equations = CycleEquations(family, begun.points.shape[1])
-    tracks = paths.follow_both_ways(equations, solution_of(begun), steps, is_wanted, at_once)
+    equations = CycleEquations(family, start.points.shape[1])
+    tracks = paths.follow_both_ways(equations, solution_of(start), steps, is_wanted, at_once)
     return {k: branches[k] if k in branches else _branch(family, track) for k, track in tracks.items()}
 
 

@@ -120,7 +120,7 @@ class Solution(NamedTuple):
         return Solution(*(leaf[lanes] for leaf in self))
 
     def backward(self) -> Solution:
-        """The same with the opposite direction of the curve."""
+        """The solution with the opposite direction of the curve."""
         return self._replace(way=-self.way, determinant=-self.determinant)
 
 
@@ -226,15 +226,15 @@ def _settle(unit: np.ndarray, solution: Solution, lanes: np.ndarray, linear: Lin
 
 
 def inner(
-    unit: Float[np.ndarray, " N"], one: Float[np.ndarray, "lanes N"], other: Float[np.ndarray, "lanes N"]
+    unit: Float[np.ndarray, " N"], first: Float[np.ndarray, "lanes N"], second: Float[np.ndarray, "lanes N"]
 ) -> Float[np.ndarray, " lanes"]:
     """Inner products in units of the unknowns."""
-    return np.sum((one / unit) * (other / unit), axis=1)
+    return np.sum((first / unit) * (second / unit), axis=1)
 
 
-def norm(unit: Float[np.ndarray, " N"], one: Float[np.ndarray, "lanes N"]) -> Float[np.ndarray, " lanes"]:
+def norm(unit: Float[np.ndarray, " N"], vector: Float[np.ndarray, "lanes N"]) -> Float[np.ndarray, " lanes"]:
     """Lengths of differences and directions."""
-    return np.sqrt(inner(unit, one, one))
+    return np.sqrt(inner(unit, vector, vector))
 
 
 def _orthogonal_steps(

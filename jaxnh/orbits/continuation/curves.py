@@ -151,21 +151,21 @@ def follow_both_ways(
     """The curves through bifurcations of a kind, each from end to end; None where Newton does not confirm one."""
     z = join_unknowns(plane, points, values)
     equations = BifurcationEquations(plane, kind, z.shape[1])
-    begun = core.correct(equations, z, tolerance=FINE)
-    confirmed = np.flatnonzero(begun.converged)
+    start = core.correct(equations, z, tolerance=FINE)
+    confirmed = np.flatnonzero(start.converged)
     curves = list[Curve | None]([None] * len(z))
-    for k, track in paths.follow_both_ways(equations, begun.take(confirmed), steps).items():
+    for k, track in paths.follow_both_ways(equations, start.take(confirmed), steps).items():
         curves[confirmed[k]] = _curve(plane, kind, track)
     return curves
 
 
-def join_curves(plane: ParameterPlane, one: Curve, other: Curve, near: float) -> Curve | None:
+def join_curves(plane: ParameterPlane, first: Curve, second: Curve, near: float) -> Curve | None:
     """The curve that two are parts of, the first of them cut on the second (`tracks.joined`); None where it is not."""
-    if (one.kind, one.period) != (other.kind, other.period):
+    if (first.kind, first.period) != (second.kind, second.period):
         return None
-    equations = BifurcationEquations(plane, one.kind, one.track.z.shape[1])
-    track = joined(equations, Track(one.track, one.ends), Track(other.track, other.ends), near)
-    return None if track is None else _curve(plane, one.kind, track)
+    equations = BifurcationEquations(plane, first.kind, first.track.z.shape[1])
+    track = joined(equations, Track(first.track, first.ends), Track(second.track, second.ends), near)
+    return None if track is None else _curve(plane, first.kind, track)
 
 
 def _curve(plane: ParameterPlane, kind: int, track: Track) -> Curve:
@@ -209,8 +209,8 @@ class BifurcationEquations:
         self, now: Solution, taken: Solution, /
     ) -> tuple[dict[int, Bool[np.ndarray, " lanes"]], Bool[np.ndarray, " lanes"]]:
         """Curves that have come to orbits of a shorter period, or to real multipliers."""
-        one, other = split_unknowns(self._plane, now.z)[0], split_unknowns(self._plane, taken.z)[0]
-        collapsed, merged = collapses(one, other, self._plane.wrap, self._plane.size)
+        first, second = split_unknowns(self._plane, now.z)[0], split_unknowns(self._plane, taken.z)[0]
+        collapsed, merged = collapses(first, second, self._plane.wrap, self._plane.size)
         endings = {paths.COLLAPSED: collapsed}
         if self._kind not in (FOLD, DOUBLING):
             with np.errstate(invalid="ignore"):

@@ -159,11 +159,11 @@ class EigenvectorEquations:
             rows[:, mine, :d], rows[:, mine, -2:] = images[:, k, :, :d], images[:, k, :, d:]
         missing[:, end] = 0.5 * (sum(np.sum(part**2, axis=1) for part in parts) - 1.0)
         if self._hopf:
-            first, second, one = slice(d, 2 * d), slice(2 * d, 3 * d), np.eye(d)
+            first, second, identity = slice(d, 2 * d), slice(2 * d, 3 * d), np.eye(d)
             missing[:, first] += at.square[:, None] * at.second
             missing[:, second] -= at.first
-            rows[:, first, second] += at.square[:, None, None] * one
-            rows[:, second, first] -= one
+            rows[:, first, second] += at.square[:, None, None] * identity
+            rows[:, second, first] -= identity
             rows[:, first, end] = at.second
             missing[:, -1], rows[:, -1, second] = at.second @ self._phase, self._phase
         return Evaluation(missing, slopes[:, :, :d], rows)
@@ -179,7 +179,7 @@ class EigenvectorEquations:
         return np.concatenate([self._plane.wrap(gap[:, :d] * size) / size, gap[:, d:]], axis=1)
 
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterator[Float[np.ndarray, "lanes N"]]:
-        """The same, and with the opposite eigenvector."""
+        """Both signs of the eigenvector."""
         yield z
         opposite, end = z.copy(), 3 * self._d if self._hopf else 2 * self._d
         opposite[:, self._d : end] *= -1.0
@@ -243,20 +243,20 @@ def double_zero(
 
 
 def follow_curves(
-    plane: FieldPlane, kind: int, begun: CriticalEquilibria, steps: StepControl = CURVE_STEPS
+    plane: FieldPlane, kind: int, start: CriticalEquilibria, steps: StepControl = CURVE_STEPS
 ) -> list[Curve | None]:
     """The curves through equilibria at bifurcations, each from end to end; None where Newton does not confirm one.
 
     Args:
         plane: the field.
         kind: `FOLD` or `HOPF`.
-        begun: equilibria, nearly.
+        start: equilibria, nearly.
         steps: how curves are followed.
     """
     equations = EigenvectorEquations(plane, kind)
-    curves = list[Curve | None]([None] * len(begun.u))
-    finite = np.flatnonzero(np.isfinite(begun.first).all(axis=1))
-    at = core.correct(equations, equations.join(CriticalEquilibria(*(leaf[finite] for leaf in begun))), None, FINE)
+    curves = list[Curve | None]([None] * len(start.u))
+    finite = np.flatnonzero(np.isfinite(start.first).all(axis=1))
+    at = core.correct(equations, equations.join(CriticalEquilibria(*(leaf[finite] for leaf in start))), None, FINE)
     confirmed = finite[at.converged]
     if not len(confirmed):
         return curves
@@ -274,13 +274,13 @@ def curve_of(plane: FieldPlane, kind: int, track: Solution, ends: tuple[int, int
     return Curve(kind, at.u[:, None], at.values, track, values, ends, equilibria=True)
 
 
-def join_curves(plane: FieldPlane, one: Curve, other: Curve, near: float) -> Curve | None:
+def join_curves(plane: FieldPlane, first: Curve, second: Curve, near: float) -> Curve | None:
     """The curve that two are parts of, the first of them cut on the second (`tracks.joined`); None where it is not."""
-    if one.kind != other.kind:
+    if first.kind != second.kind:
         return None
-    equations = EigenvectorEquations(plane, one.kind)
-    track = joined(equations, Track(one.track, one.ends), Track(other.track, other.ends), near)
-    return None if track is None else curve_of(plane, one.kind, track.points, track.ends)
+    equations = EigenvectorEquations(plane, first.kind)
+    track = joined(equations, Track(first.track, first.ends), Track(second.track, second.ends), near)
+    return None if track is None else curve_of(plane, first.kind, track.points, track.ends)
 
 
 def passes(plane: FieldPlane, curves: Sequence[Curve], kind: int, at: CriticalEquilibria, near: float) -> bool:

@@ -63,8 +63,8 @@ def second_compound(matrices: Float[np.ndarray, "... d d"]) -> Float[np.ndarray,
 
 def additive_compound(matrices: Float[np.ndarray, "... d d"]) -> Float[np.ndarray, "... e e"]:
     """The derivative of `second_compound` at one: its eigenvalues are sums of two of the matrix."""
-    one = np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape)
-    return second_compound(matrices + one) - second_compound(matrices) - second_compound(one)
+    identity = np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape)
+    return second_compound(matrices + identity) - second_compound(matrices) - second_compound(identity)
 
 
 def eigenvalues(family: Family, orbits: CurveOrbits) -> Complex[np.ndarray, "lanes d"]:

@@ -144,11 +144,11 @@ class Path:
         end: why lanes have ended, numbers in `ENDS`; `START` of those that have not.
     """
 
-    def __init__(self, equations: CurveEquations, begun: Solution, control: StepControl) -> None:
-        lanes = len(begun.z)
-        self._equations, self._begun, self._control = equations, begun, control
+    def __init__(self, equations: CurveEquations, start: Solution, control: StepControl) -> None:
+        lanes = len(start.z)
+        self._equations, self._begun, self._control = equations, start, control
         self.active, self.end = np.arange(0), np.full(lanes, START)
-        self._now, self._past = begun.take(self.active), _first_history(begun.take(self.active))
+        self._now, self._past = start.take(self.active), _first_history(start.take(self.active))
         self._count, self._order = np.zeros(lanes, int), np.zeros(lanes, int)
         self._size = np.full(lanes, control.ds or 0.1 * control.ds_max)
         self._wall = np.full(lanes, np.inf)  # how far ahead the map has no value, as far as is seen
@@ -183,11 +183,11 @@ class Path:
             crosses = taken.determinant * now.determinant < 0.0
         good &= ~crosses | (step <= _CROSSING * control.ds_max)
         ended, dropped = equations.endings(now, taken)
-        begun = self._begun.take(active)
-        closed = (self._count[active] > _LEAST_LOOP) & _passes(equations, begun, now, taken, 2.0 * step)
+        start = self._begun.take(active)
+        closed = (self._count[active] > _LEAST_LOOP) & _passes(equations, start, now, taken, 2.0 * step)
         kept = good & ~dropped & (step > 0.0)
         self._keep(active[kept], taken.take(kept))
-        away = norm(unit, now.z - begun.z)
+        away = norm(unit, now.z - start.z)
         self._set_sizes(step, share, good, lost, away)
         done = np.zeros(len(active), bool)
         smallest = ~good & (self._size[active] <= control.ds_min)
@@ -299,11 +299,11 @@ def _like(which: np.ndarray, leaf: np.ndarray) -> np.ndarray:
 
 
 def _passes(
-    equations: CurveEquations, begun: Solution, now: Solution, taken: Solution, near: Float[np.ndarray, " lanes"]
+    equations: CurveEquations, start: Solution, now: Solution, taken: Solution, near: Float[np.ndarray, " lanes"]
 ) -> Bool[np.ndarray, " lanes"]:
     """Return whether a step passes the point that its curve has begun with, or one that stands for the same."""
     passes, unit = np.zeros(len(near), bool), equations.unit
-    for z, way in zip(equations.equivalents(begun.z), equations.equivalents(begun.way), strict=True):
+    for z, way in zip(equations.equivalents(start.z), equations.equivalents(start.way), strict=True):
         before, after = (equations.difference(point.z - z) for point in (now, taken))
         with np.errstate(invalid="ignore"):
             passed = (inner(unit, before, way) < 0.0) & (inner(unit, after, way) >= 0.0)
@@ -318,14 +318,14 @@ class Track(NamedTuple):
     ends: tuple[int, int]
 
     def backward(self) -> Track:
-        """The same from its other end."""
+        """The curve from its other end."""
         first, last = self.ends
         return Track(self.points.take(slice(None, None, -1)).backward(), (last, first))
 
 
 def follow_both_ways(
     equations: CurveEquations,
-    begun: Solution,
+    start: Solution,
     control: StepControl = STEPS,
     wanted: Callable[[Mapping[int, Track], int], bool] | None = None,
     at_once: int | None = None,
@@ -337,14 +337,14 @@ def follow_both_ways(
 
     Args:
         equations: F.
-        begun: points, with the directions in which curves are followed first.
+        start: points, with the directions in which curves are followed first.
         control: steps.
         wanted: asked for each point as its turn comes, with the curves that have come to both of their ends and the
             point's number; by default all are.
         at_once: how many are followed at a time, by default all.
     """
-    count = len(begun.z)
-    path = Path(equations, concatenated([begun, begun.backward()]), control)
+    count = len(start.z)
+    path = Path(equations, concatenated([start, start.backward()]), control)
     tracks, turn, followed = dict[int, Track](), 0, 0
     while turn < count or len(path.active):
         more = list[int]()

@@ -62,27 +62,27 @@ def nearest(
     return Foot(float(distance[place]), place, float(share[place]))
 
 
-def joined(equations: CurveEquations, one: Track, other: Track, near: float) -> Track | None:
+def joined(equations: CurveEquations, first: Track, second: Track, near: float) -> Track | None:
     """The curve that two tracks are parts of, the first cut (`MOST_POINTS`) on the second; None where it is not.
 
     Args:
         equations: F, whose unknowns are in their units.
-        one, other: the tracks.
+        first, second: the tracks.
         near: distance of an end of the first from the second, in lengths, below which it is on it.
     """
-    ahead = _continued(equations, one, other, near)
+    ahead = _continued(equations, first, second, near)
     if ahead is not None and ahead.ends[1] == CLOSED:
         return ahead
-    behind = _continued(equations, (ahead or one).backward(), other, near)
+    behind = _continued(equations, (ahead or first).backward(), second, near)
     return ahead if behind is None else behind.backward()
 
 
-def _continued(equations: CurveEquations, one: Track, other: Track, near: float) -> Track | None:
+def _continued(equations: CurveEquations, first: Track, second: Track, near: float) -> Track | None:
     """The first track with what the second has beyond its last point; None where it is not cut there."""
-    if one.ends[1] != MOST_POINTS:
+    if first.ends[1] != MOST_POINTS:
         return None
-    end, toward, unit = one.points.z[-1], one.points.way[-1], equations.unit
-    alike = zip(equations.equivalents(other.points.z), equations.equivalents(other.points.way), strict=True)
+    end, toward, unit = first.points.z[-1], first.points.way[-1], equations.unit
+    alike = zip(equations.equivalents(second.points.z), equations.equivalents(second.points.way), strict=True)
     for z, way in alike:
         foot = nearest(z, way, end)
         if foot.distance > near or len(z) < 2:
@@ -92,19 +92,19 @@ def _continued(equations: CurveEquations, one: Track, other: Track, near: float)
         beyond = inner(unit, z[rest] - end, np.tile(toward, (len(rest), 1))) > 0.0
         rest = rest if beyond[:1].all() else rest[1:]
         more = correct(equations, z[rest], sign * way[rest], tolerance=np.inf)
-        return _closed(equations, one, more, near) or Track(
-            concatenated([one.points, more]), (one.ends[0], other.ends[1 if sign > 0.0 else 0])
+        return _closed(equations, first, more, near) or Track(
+            concatenated([first.points, more]), (first.ends[0], second.ends[1 if sign > 0.0 else 0])
         )
     return None
 
 
-def _closed(equations: CurveEquations, one: Track, more: Solution, near: float) -> Track | None:
+def _closed(equations: CurveEquations, track: Track, more: Solution, near: float) -> Track | None:
     """The closed curve of a track cut at its beginning too, where what goes on beyond its end comes back to it."""
-    if one.ends[0] != MOST_POINTS:
+    if track.ends[0] != MOST_POINTS:
         return None
-    last = concatenated([one.points.take(slice(-1, None)), more])
-    for first in equations.equivalents(one.points.z[:1]):
+    last = concatenated([track.points.take(slice(-1, None)), more])
+    for first in equations.equivalents(track.points.z[:1]):
         foot = nearest(last.z, last.way, first[0])
         if foot.distance <= near:
-            return Track(concatenated([one.points, more.take(slice(foot.place + 1))]), (CLOSED, CLOSED))
+            return Track(concatenated([track.points, more.take(slice(foot.place + 1))]), (CLOSED, CLOSED))
     return None
