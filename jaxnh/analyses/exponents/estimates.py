@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows
+from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows, widen_by_drift
 from jaxnh.analyses.exponents.from_orbits import OrbitExponents
 from jaxnh.analyses.exponents.tangent_growth import TangentState
 from jaxnh.systems.lagrangian import Lagrangian
@@ -29,7 +29,7 @@ class Averages(NamedTuple):
         growth: of every lane at its end.
         rates: growth a period in every block that was run: of the flow's direction without a clock, of each tangent,
             of volume, and of volume by quadrature, (lanes, blocks, sums).
-        smooth: smooth averages over the whole, its first and its second half, without the last sum, (lanes, 3, sums).
+        smooth: what `smooth_parts` gives of the whole, without the last sum, (lanes, parts, sums).
         blocks: number of blocks that were run, (lanes,).
         settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
     """
@@ -37,7 +37,7 @@ class Averages(NamedTuple):
     begun: LaneStates
     growth: TangentState
     rates: Float[np.ndarray, "lanes blocks sums"]
-    smooth: Float[np.ndarray, "lanes 3 sums"]
+    smooth: Float[np.ndarray, "lanes parts sums"]
     blocks: Int[np.ndarray, " lanes"]
     settled: OrbitExponents
 
@@ -60,6 +60,17 @@ def step_error(batch: LaneBatch) -> float:
     return _TANGENT_ERRORS * batch.error_estimate
 
 
+def widen_plain_by_drift(average: Average, averages: Averages, chosen: np.ndarray, sums: slice) -> Average:
+    """Enlarge the errors of plain averages of chosen lanes to what a drift beyond their scatter may still come to.
+
+    Of lanes that stopped early no drift is known.
+
+    Args:
+        sums: those of the rates that the averages are of.
+    """
+    return widen_by_drift(average, averages.smooth[chosen][:, :, sums], averages.rates[chosen][:, :, sums])
+
+
 def exponent_sum(batch: LaneBatch, averages: Averages, spectrum: Spectrum, aligned: int, block: int) -> Average:
     """Return the sum of all exponents a period, and its error at 95 %.
 
@@ -74,10 +85,12 @@ def exponent_sum(batch: LaneBatch, averages: Averages, spectrum: Spectrum, align
     for blocks in np.unique(averages.blocks[average]):
         chosen = average & (averages.blocks == blocks)
         plain = average_blocks(averages.rates[chosen, :blocks, k : k + 1])
+        plain = widen_plain_by_drift(plain, averages, chosen, np.s_[k : k + 1])
         total[chosen], error[chosen] = plain.mean[:, 0], plain.error[:, 0]
     if np.any(smooth):
         length = block * averages.rates.shape[1]
-        windows = average_windows(averages.smooth[smooth, :, k : k + 1], aligned, length)
+        parts = averages.smooth[smooth, :, k : k + 1]
+        windows = widen_by_drift(average_windows(parts, aligned, length), parts)
         total[smooth], error[smooth] = windows.mean[:, 0], windows.error[:, 0]
     return Average(total, error + step_error(batch))
 

@@ -33,10 +33,18 @@ from jaxnh.analyses.exponents.errors import (
     change,
     smooth_parts,
     unseen_bursts,
+    widen_by_drift,
     widen_to_sum_rule,
     widen_to_zero,
 )
-from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum, area_growth, exponent_sum
+from jaxnh.analyses.exponents.estimates import (
+    SOURCES,
+    Averages,
+    Spectrum,
+    area_growth,
+    exponent_sum,
+    widen_plain_by_drift,
+)
 from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
 from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refinement_needed
 from jaxnh.analyses.exponents.tangent_growth import (
@@ -52,6 +60,7 @@ from jaxnh.analyses.exponents.tangent_growth import (
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
+from jaxnh.analyses.smooth_window import DEGREE
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import NOT_FINITE, status
 
@@ -63,8 +72,8 @@ _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
-    "the whole, and twice what twice the steps change; of both, up to zero where a finite "
-    "window leaves that open, and at least the residual of the sum rule where that contradicts them; of an orbit: "
+    "the whole, and twice what twice the steps change; of both, up to zero where a finite window leaves that open, as "
+    "much as a drift that slows down may still come to, infinite where one does not slow down, and at least the residual of the sum rule where that contradicts them; of an orbit: "
     "twice what twice the steps change in its multipliers; of an equilibrium: "
     "twice what a last step of Newton changes in its eigenvalues, and what rounding may"
 )
@@ -140,7 +149,7 @@ def averages(
             _write_lanes(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
     begun = jax.tree.map(np.array, growth.state)
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
-    smooth = np.zeros((count, 3, lead + k + 1))
+    smooth = np.zeros((count, 3 + DEGREE, lead + k + 1))
     done = np.zeros(count, int)
     running = np.arange(count)
     settled = no_orbits(lead + k)
@@ -194,8 +203,9 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         plain = average_blocks(averages.rates[chosen, :blocks, : lead + k])
         mean[chosen], error[chosen] = widen_to_zero(plain, aligned, blocks * block)
     source, vanished = np.zeros(batch.count, np.int8), np.isneginf(mean)
+    drift = widen_plain_by_drift(Average(mean, error), averages, np.arange(batch.count), np.s_[: lead + k])
     if options.method == "averages":
-        return Spectrum(mean, error, source)
+        return Spectrum(mean, drift.error, source)
     number, ran = np.arange(BLOCKS), averages.blocks
     late = (number < ran[:, None]) & (number >= (ran - np.maximum(ran // 4, 1))[:, None])
     last = np.mean(averages.rates[:, :, lead], axis=1, where=late)
@@ -208,10 +218,11 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     better = smooth.error[:, lead] < error[whole, lead]
     regular = whole[better]
     source[regular] = SOURCES.index("smooth_average")
+    smooth, error = widen_by_drift(smooth, windows), drift.error
     mean[regular] = smooth.mean[better]
     error[regular] = smooth.error[better] + _step_error(batch, lanes, select(averages.growth, regular), regular, parts)
-    drifting = whole[~better]
-    error[drifting] += unseen_bursts(averages.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
+    plain = whole[~better]
+    error[plain] += unseen_bursts(averages.rates[plain, :, lead : lead + 1], BLOCKS * block)[:, None]
     mean[vanished], error[vanished] = -np.inf, 0.0
     candidates = np.flatnonzero(undecided)
     orbits = [averages.settled]

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, Link, keep_all
 from jaxnh.analyses.options.base import BLOCKS
-from jaxnh.analyses.smooth_window import half_window_weights
+from jaxnh.analyses.smooth_window import DEGREE, moment_weights
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import cut_strobe, maps_between, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
@@ -48,7 +48,7 @@ class TangentState(NamedTuple):
         logs: k sums of the logarithms of the tangents' growth; without a clock, that along the flow before them.
         volume: sum of the logarithms of the growth of volume.
         divergence: integral of the flow's divergence by quadrature, zero where it is not asked for.
-        smooth: the sums of logs and volume, over periods under the windows of `half_window_weights`, as tuples.
+        smooth: the sums of logs and volume, over periods under the weights of `moment_weights`, as tuples.
         loss: largest logarithm by which the last tangent shrank against the first in one part of a period.
     """
 
@@ -200,7 +200,7 @@ def begin(flow: Flow, state: State, k: int) -> TangentState:
     zero = jnp.zeros_like(state[0][0])
     tangents = jax.tree.map(lambda component: zero + component, flow.chart.directions(k))
     sums = k + int(flow.autonomous)
-    return TangentState(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * 2, zero)
+    return TangentState(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * (DEGREE + 2), zero)
 
 
 def advance(
@@ -244,7 +244,7 @@ def advance(
         at = begun + (jnp.float64(i) + 0.5) / (jnp.float64(count) * BLOCKS)
         smooth = tuple(
             tuple(sum_ + weight * g for sum_, g in zip(sums, grown, strict=True))
-            for weight, sums in zip(half_window_weights(at), growth.smooth, strict=True)
+            for weight, sums in zip(moment_weights(at), growth.smooth, strict=True)
         )
         if quadrature is not None:
             after = after._replace(divergence=growth.divergence + _divergence(quadrature, growth.state, p))
