@@ -93,7 +93,7 @@ class JumpingStrobe(ReturnMap):
         begun = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
         ended = self._marched(begun, p, by_p)
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
-        return Pushforward(ended.state, pushed, jnp.exp(ended.log_volume) if volume else jnp.ones_like(zero))
+        return Pushforward(ended.state, pushed, ended.log_volume if volume else zero)
 
     def end_of(self, step: Array) -> Array:
         """Time at the end of a step."""

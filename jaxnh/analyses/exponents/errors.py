@@ -21,8 +21,8 @@ _UNSEEN = 3.0  # events that were never seen: their mean number over as long a r
 _BURST = 7.0  # logarithm of growth in a burst of chaos: from a thousandth of the attractor to all of it
 _POWER_LAW = 4.0  # times what an exponential drift leaves: one like time^(−1/3)
 _DRIFT = 20.0  # times what scatters: of Student's t with three degrees of freedom in 3 of 10,000
-_DRIFT_OF_BLOCKS = 8.0  # times their scatter: of Student's t with 14 degrees 6, as the window scatters more than a mean
-_STEADY = 1e-12  # of a drift in a window, a period: rounding
+_DRIFT_OF_BLOCKS = 8.0  # times their scatter, which is 6 of Student's t: windows scatter more than means
+_STEADY = 1e-12  # of a drift in a window, a period, and of the mean above one: rounding
 _SLOW = 0.8  # von Neumann's ratio of block means: 2 where they are independent, below this in 1 of 500 such runs
 
 
@@ -119,13 +119,13 @@ def widen_by_drift(
 
     A motion that comes to its attractor slowly has means of which a window shows a small part. About the middle of the
     window growth is μ + μ′τ + μ″τ²/2: its coefficients in orthonormal polynomials fall with the degree, where those of
-    all that only scatters, or turns fast, are alike. A slope far above the coefficients of degree 3 and more is a drift;
-    of a plain average one far above the scatter of blocks about their line. One like e^−γt has μ′²/μ″ left, whatever γ;
-    one like t^−p has (p + 1)/p as much, and more in a wide window: three times where p is 1/2, as of a mean that is
-    linear in the amplitude of a motion at the onset of its attractor, and four are allowed for. A fall that begins
-    fast, as t^−p soon after t = 0, is a sum of exponentials: its coefficients alternate in sign and fall with the
-    degree, as of what scatters they do in 1 of 1,920 lanes; then all of them belong to the drift. Where a drift does
-    not slow down, beyond what scatters, there is no end of it in the window, and the error is infinite.
+    all that only scatters, or turns fast, are alike. A slope far above the coefficients of degree 3 and more is a
+    drift; of a plain average one far above the scatter of blocks about their line. One like e^−γt has μ′²/μ″ left,
+    whatever γ; one like t^−p has (p + 1)/p as much, and more in a wide window: three times where p is 1/2, as of a mean
+    that is linear in the amplitude of a motion at the onset of its attractor, and four are allowed for. A fall that
+    begins fast, as t^−p soon after t = 0, is a sum of exponentials: its coefficients alternate in sign and fall with
+    the degree, as of what scatters they do in 1 of 1,920 lanes; then all of them belong to the drift. Where a drift
+    does not slow down, beyond what scatters, there is no end of it in the window, and the error is infinite.
 
     Args:
         parts: as of `smooth_parts`, over the whole run.
@@ -144,12 +144,12 @@ def widen_by_drift(
     slows = -np.sign(slope) * bend - student(freedom + 1) * noise
     with np.errstate(divide="ignore", invalid="ignore"):
         left = _POWER_LAW * (slope / leading[1]) ** 2 / (2.0 * np.maximum(slows, 0.0) / leading[2])
-        drifts = np.abs(slope) > np.maximum(least * noise, _STEADY)
+        drifts = np.abs(slope) > np.maximum(least * noise, _STEADY * np.maximum(np.abs(average.mean), 1.0))
     return average._replace(error=np.where(drifts, np.maximum(average.error, left), average.error))
 
 
 def _scatter_about_line(rates: Float[np.ndarray, "lanes blocks sums"]) -> Float[np.ndarray, "lanes sums"]:
-    """Return the standard error of means of blocks from their distances from a straight line; infinite where none is."""
+    """Return the standard error of means of blocks about a straight line; infinite where blocks are no numbers."""
     line = np.arange(rates.shape[1]) - 0.5 * (rates.shape[1] - 1)
     with np.errstate(invalid="ignore"):  # of tangents that have vanished
         about = rates - rates.mean(axis=1, keepdims=True)

@@ -73,9 +73,9 @@ _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
     "the whole, and twice what twice the steps change; of both, up to zero where a finite window leaves that open, as "
-    "much as a drift that slows down may still come to, infinite where one does not slow down, and at least the residual of the sum rule where that contradicts them; of an orbit: "
-    "twice what twice the steps change in its multipliers; of an equilibrium: "
-    "twice what a last step of Newton changes in its eigenvalues, and what rounding may"
+    "much as a drift that slows down may still come to, infinite where one does not slow down, and at least the "
+    "residual of the sum rule where that contradicts them; of an orbit: twice what twice the steps change in its "
+    "multipliers; of an equilibrium: twice what a last step of Newton changes in its eigenvalues, and what rounding may"
 )
 
 
@@ -102,9 +102,11 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     Also choose the refinement of the steps, where tangents need more of them than states.
     """
     batch, k = batch.without_section(), tangents(options, batch.without_section())
-    if k == 1 or not batch.flow.continuous:
+    if not batch.flow.continuous:
         return {"parts": 1}
     parts, growth = parts_needed(batch, lanes, k)
+    if parts == k == 1:
+        return {"parts": 1}
     refinement = refinement_needed(batch, lanes, growth, parts)
     return {"parts": parts} | ({"refinement": refinement} if refinement > 1 else {})
 

@@ -19,6 +19,7 @@ from jaxnh.analyses.exponents.estimates import SOURCES, exponent_sum, step_error
 from jaxnh.analyses.exponents.tangent_growth import average, begin
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
+from jaxnh.analyses.smooth_window import DEGREE
 from jaxnh.maps.build import backward_parts
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.state import State
@@ -62,7 +63,8 @@ def of_repeller(
     strobes = in_precision(made, batch.precision)
     k, lead, p = lyapunov.tangents(options, batch), int(batch.flow.autonomous), dict(batch.p)
     aligning, block = max(options.transient // _ALIGNING, 1), options.periods // BLOCKS
-    rates, smooth = np.full((batch.count, BLOCKS, lead + k + 2), np.nan), 0.0
+    rates = np.full((batch.count, BLOCKS, lead + k + 2), np.nan)
+    smooth = np.zeros((batch.count, 3 + DEGREE, lead + k + 1))
     with lanes.stage(f"reversal: repellers of {batch.count} lanes", batch.count * (aligning + options.periods)):
         growth = lanes(begin, (batch.system,), (states,), static=(k,))
         growth, _ = average(lanes, strobes, growth, p, aligning)
