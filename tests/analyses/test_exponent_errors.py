@@ -12,6 +12,7 @@ from jaxnh.analyses.exponents.errors import (
     widen_by_drift,
     widen_to_sum_rule,
     widen_to_zero,
+    widen_unsettled,
 )
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.smooth_window import drift_basis, moment_weights
@@ -161,3 +162,13 @@ def test_a_drift_of_chaos_beyond_its_scatter():
         blocks = blocks_of(growth)
         error = widen_by_drift(average_blocks(blocks), smooth_of(growth), blocks).error
         assert np.all(np.isinf(error) == drifts)
+
+
+def test_a_sum_of_exponents_before_the_motion_has_settled():
+    """A sum of −7e-5 ± 2e-6 after 4,608 periods: volumes have shrunk by a third, and the bar is 4 over the periods. One of
+    −2e-3, one of a constant divergence and one that may be zero have the bars that they had."""
+    wave = 1e-3 * np.cos(np.arange(BLOCKS))
+    rates = np.stack([-7e-5 + wave, -2e-3 + wave, np.full(BLOCKS, -7e-5), 1e-6 + wave])[..., None]
+    total = average_blocks(rates)._replace(error=np.full((4, 1), 2e-6))
+    error = widen_unsettled(total._replace(mean=np.array([[-7e-5], [-2e-3], [-7e-5], [1e-6]])), rates, 4608).error
+    np.testing.assert_allclose(error[:, 0], [4 / 4608, 2e-6, 2e-6, 2e-6])

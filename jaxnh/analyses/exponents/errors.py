@@ -19,6 +19,7 @@ _FEWEST = 4  # means of a batch that an error is taken from
 _ROUNDING = 1e-10  # of a smooth average a period
 _UNSEEN = 3.0  # events that were never seen: their mean number over as long a run is below this, 95 %
 _BURST = 7.0  # logarithm of growth in a burst of chaos: from a thousandth of the attractor to all of it
+_SETTLED = 4.0  # of the logarithm of volume: what is left of the way to an attractor is below 2 in 100
 _POWER_LAW = 4.0  # times what an exponential drift leaves: one like time^(−1/3)
 _DRIFT = 20.0  # times what scatters: of Student's t with three degrees of freedom in 3 of 10,000
 _DRIFT_OF_BLOCKS = 8.0  # times their scatter, which is 6 of Student's t: windows scatter more than means
@@ -146,6 +147,24 @@ def widen_by_drift(
         left = _POWER_LAW * (slope / leading[1]) ** 2 / (2.0 * np.maximum(slows, 0.0) / leading[2])
         drifts = np.abs(slope) > np.maximum(least * noise, _STEADY * np.maximum(np.abs(average.mean), 1.0))
     return average._replace(error=np.where(drifts, np.maximum(average.error, left), average.error))
+
+
+def widen_unsettled(total: Average, rates: Float[np.ndarray, "lanes blocks sums"], periods: int) -> Average:
+    """Enlarge the errors of sums of exponents of motions that cannot have settled yet.
+
+    On an attractor whose sum is σ a motion has settled where volumes have shrunk by many factors e. Where they have
+    changed by less than e^±4 in all its periods, and by how much depends on where it is, a sum that is not zero is one
+    along a transient, or the attractor's is as small; one of 4 over the periods would have been seen to settle.
+
+    Args:
+        rates: of volume in blocks, of the whole run.
+        periods: from the start to the end, transient and average.
+    """
+    with np.errstate(invalid="ignore"):
+        varies = np.std(rates, axis=1) > _ROUNDING
+    least = _SETTLED / periods
+    unsettled = varies & (np.abs(total.mean) > total.error) & (np.abs(total.mean) < least)
+    return total._replace(error=np.where(unsettled, np.maximum(total.error, least), total.error))
 
 
 def _scatter_about_line(rates: Float[np.ndarray, "lanes blocks sums"]) -> Float[np.ndarray, "lanes sums"]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows, widen_by_drift
+from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows, widen_by_drift, widen_unsettled
 from jaxnh.analyses.exponents.from_orbits import OrbitExponents
 from jaxnh.analyses.exponents.tangent_growth import TangentState
 from jaxnh.systems.lagrangian import Lagrangian
@@ -71,13 +71,16 @@ def widen_plain_by_drift(average: Average, averages: Averages, chosen: np.ndarra
     return widen_by_drift(average, averages.smooth[chosen][:, :, sums], averages.rates[chosen][:, :, sums])
 
 
-def exponent_sum(batch: LaneBatch, averages: Averages, spectrum: Spectrum, aligned: int, block: int) -> Average:
+def exponent_sum(
+    batch: LaneBatch, averages: Averages, spectrum: Spectrum, transient: int, aligned: int, block: int
+) -> Average:
     """Return the sum of all exponents a period, and its error at 95 %.
 
     Of averages it is the growth of volume, which scatters less than each exponent; else the sum of the exponents.
 
     Args:
-        aligned, block: periods that tangents were carried before the averages, and in a block.
+        transient, aligned, block: periods before the averages, those that tangents were carried before them, and those
+            of a block.
     """
     k = spectrum.mean.shape[1]
     total, error = spectrum.mean.sum(axis=1), spectrum.error.sum(axis=1)
@@ -86,11 +89,13 @@ def exponent_sum(batch: LaneBatch, averages: Averages, spectrum: Spectrum, align
         chosen = average & (averages.blocks == blocks)
         plain = average_blocks(averages.rates[chosen, :blocks, k : k + 1])
         plain = widen_plain_by_drift(plain, averages, chosen, np.s_[k : k + 1])
+        plain = widen_unsettled(plain, averages.rates[chosen, :blocks, k : k + 1], transient + blocks * block)
         total[chosen], error[chosen] = plain.mean[:, 0], plain.error[:, 0]
     if np.any(smooth):
         length = block * averages.rates.shape[1]
         parts = averages.smooth[smooth, :, k : k + 1]
         windows = widen_by_drift(average_windows(parts, aligned, length), parts)
+        windows = widen_unsettled(windows, averages.rates[smooth, :, k : k + 1], transient + length)
         total[smooth], error[smooth] = windows.mean[:, 0], windows.error[:, 0]
     return Average(total, error + step_error(batch))
 

@@ -333,7 +333,9 @@ def _dataset(
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
             variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
-        total = exponent_sum(batch, averages, spectrum, options.transient // _ALIGNING, options.periods // BLOCKS)
+        total = exponent_sum(
+            batch, averages, spectrum, options.transient, options.transient // _ALIGNING, options.periods // BLOCKS
+        )
         variables |= _sum_and_dimension(batch, total, exponents)
     return xr.Dataset(variables, attrs=attrs)
 

@@ -46,7 +46,9 @@ def of_attractor(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, 
     averages = lyapunov.averages(options, batch, lanes, parts)
     spectrum = lyapunov.spectrum(options, batch, lanes, averages, parts)
     mean, error = spectrum.mean.copy(), spectrum.error.copy()
-    total = exponent_sum(batch, averages, spectrum, options.transient // _ALIGNING, options.periods // BLOCKS)
+    total = exponent_sum(
+        batch, averages, spectrum, options.transient, options.transient // _ALIGNING, options.periods // BLOCKS
+    )
     if batch.flow.autonomous:
         moving = spectrum.source != SOURCES.index("equilibrium")
         for values in (mean, error):
