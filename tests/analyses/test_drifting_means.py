@@ -49,7 +49,7 @@ def areas_kept(shift=0.24):
 
     def image(state):
         x, z = state
-        sin, upper = np.sqrt(1 - shift * shift), z - x * x
+        sin, upper = jnp.sqrt(1 - shift * shift), z - x * x
         return x * shift - upper * sin, x * sin + upper * shift
 
     return {"map": image, "coordinates": ("x", "z")}

@@ -20,6 +20,7 @@ _ROUNDING = 1e-10  # of a smooth average a period
 _UNSEEN = 3.0  # events that were never seen: their mean number over as long a run is below this, 95 %
 _BURST = 7.0  # logarithm of growth in a burst of chaos: from a thousandth of the attractor to all of it
 _SETTLED = 4.0  # of the logarithm of volume: what is left of the way to an attractor is below 2 in 100
+_CONSTANT = 1e-13  # of the scatter of a divergence that is the same everywhere, by rounding
 _POWER_LAW = 4.0  # times what an exponential drift leaves: one like time^(−1/3)
 _DRIFT = 20.0  # times what scatters: of Student's t with three degrees of freedom in 3 of 10,000
 _DRIFT_OF_BLOCKS = 8.0  # times their scatter, which is 6 of Student's t: windows scatter more than means
@@ -161,7 +162,7 @@ def widen_unsettled(total: Average, rates: Float[np.ndarray, "lanes blocks sums"
         periods: from the start to the end, transient and average.
     """
     with np.errstate(invalid="ignore"):
-        varies = np.std(rates, axis=1) > _ROUNDING
+        varies = np.std(rates, axis=1) > _CONSTANT * np.maximum(np.abs(total.mean), 1.0)
     least = _SETTLED / periods
     unsettled = varies & (np.abs(total.mean) > total.error) & (np.abs(total.mean) < least)
     return total._replace(error=np.where(unsettled, np.maximum(total.error, least), total.error))

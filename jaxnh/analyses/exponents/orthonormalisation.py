@@ -32,7 +32,8 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
     their start.
     """
     few = _pilots(batch)
-    parts, first = _PILOT_PARTS if k > 1 else 1, None
+    parts, seen = (_PILOT_PARTS, _LARGEST_SEEN) if k > 1 else (1, LARGEST_LOSS)  # in a whole period more drowns
+    first = None
     while True:
         state, p = few.lanes
         growth = lanes(begin, (batch.system,), (state,), static=(k,))
@@ -46,7 +47,7 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
             loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
             underflows |= bool(np.any(np.isnan(growth.logs) & is_finite(growth.state)))
         first = first or (parts, loss)
-        if (loss < _LARGEST_SEEN and not underflows) or parts == _MOST_PARTS:
+        if (loss < seen and not underflows) or parts == _MOST_PARTS:
             break
         parts *= 4
     if underflows:  # however short the parts: tangents of a lane at rest have no direction across the flow
