@@ -63,6 +63,7 @@ from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.smooth_window import DEGREE
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import NOT_FINITE, status
+from jaxnh.systems.state import is_finite
 
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
@@ -212,7 +213,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     late = (number < ran[:, None]) & (number >= (ran - np.maximum(ran // 4, 1))[:, None])
     last = np.mean(averages.rates[:, :, lead], axis=1, where=late)
     undecided = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
-    undecided &= ~np.any(np.isnan(mean), axis=1)
+    unknown = np.any(np.isnan(mean), axis=1)
+    undecided &= ~unknown
     whole = np.flatnonzero(undecided & (averages.blocks == BLOCKS))
     windows = np.where(vanished[whole, None], 0.0, averages.smooth[whole, :, : lead + k])
     smooth = average_windows(windows, aligned, BLOCKS * block)
@@ -233,6 +235,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     for settled in orbits:
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
+    # At rest from the start the flow has no direction, and nothing else has a growth across it.
+    candidates = np.flatnonzero(undecided | (unknown & is_finite(averages.growth.state)))
     if len(candidates) and lead:
         still, _, exponents, bound = detect_equilibrium(
             batch.take(candidates), lanes, options.transient + options.periods

@@ -116,7 +116,8 @@ def _by_leaves(
     def image(u: Float[np.ndarray, "points d"], lane: Int[np.ndarray, " points"]) -> Float[np.ndarray, "points d"]:
         return np.asarray(lanes(section_map, (strobe, np.int32(1)), (u, select(p, lane)), tile=_TILE))
 
-    found = leaf_distances(period, image, batch.chart, *(values[asked] for values in of_lanes), wanted)
+    moving, points, lane, size = (values[asked] for values in of_lanes)
+    found = leaf_distances(period, image, batch.chart, moving, points, lane, size, wanted)
     distance, place, near = places.distance.copy(), places.place.copy(), places.near.copy()
     distance[open_] = np.minimum(distance[open_], found)
     place[open_] = np.where(found <= wanted, PLACES.index("inside"), PLACES.index("undecided"))
