@@ -19,7 +19,7 @@ from jaxnh.analyses.options.base import Block, rule
 from jaxnh.config.blocks import Accuracy, Analyses, ExploreBlock, Levels, PublishedValues, SystemBlock
 from jaxnh.config.fitting import check_accuracy, check_map_accuracy
 from jaxnh.config.layout import layout
-from jaxnh.config.messages import Layout, close_match, first_fault
+from jaxnh.config.messages import Layout, close_match, first_fault, show_value
 from jaxnh.config.particle import ConstantSpeed, DisturbedSpeed, Free, Initial, PoincareSection, Sweep
 from jaxnh.config.user_system import UserAccuracy, UserInitial, UserSection, UserSweep, UserSystem
 from jaxnh.config.yaml_source import ConfigSource, read
@@ -100,8 +100,8 @@ class Config(Block):
         grids = self.sweep.grids
         keys = [("sweep",), *(("sweep", name, key) for key in ("count", "values") for name in grids)]
         keys += [("sweep", name) for name in grids]
-        counts = " x ".join(f"{grid.size:,}" for grid in grids.values())
-        return self._source.error(self._source.blame(keys), f"{counts} are {self.sweep.lanes:,} lanes{would}")
+        counts = " x ".join(f"{grid.size:,}" for grid in grids.values()) + " are " if len(grids) > 1 else ""
+        return self._source.error(self._source.blame(keys), f"{counts}{self.sweep.lanes:,} lanes{would}")
 
     def missing_device(self, there: str) -> ConfigError:
         """Return the error of a kind of device that JAX does not find, which finds others."""
@@ -250,7 +250,9 @@ def config_of(
     _drop_analyses(source)
     system, axes = source.data.get("system"), source.data.get("sweep")
     file = system.get("file") if isinstance(system, dict) else None
-    if not isinstance(file, str):
+    if file is not None and not isinstance(file, str):
+        raise source.error(("system", "file"), f"must be the name of a Python file, not {show_value(file)}")
+    if file is None:
         return _validate(Config, source, layout(Config, Sweep.model_fields))
     path = folder / file
     user_text = _user_text(source, path) if user_text is None else user_text

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, model_valid
 
 from jaxnh.analyses.options.base import Block, rule
 from jaxnh.config.blocks import Accuracy, EvenGrid, Grid, InitialBlock, SectionBlock, SweepBlock, SystemBlock, ValueGrid
-from jaxnh.config.messages import explain_unknown
+from jaxnh.config.messages import close_match, explain_unknown
 from jaxnh.systems.user_text import OF_RESULTS, Names
 
 
@@ -146,7 +146,8 @@ class UserSection(SectionBlock):
         for name in self.normal or (self.coordinate,):
             if names and name not in names:
                 key = "coordinate" if self.normal is None else f"normal.{name}"
-                raise rule(explain_unknown(str(name), names), key)
+                known = ", ".join(names)
+                raise rule(f"there is no coordinate {name}{close_match(name, names)}; known are {known}", key)
         if self.normal is not None and not any(self.normal.values()):
             raise rule("a normal has a length; one number at least must not be 0", "normal")
         return self

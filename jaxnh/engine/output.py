@@ -16,8 +16,13 @@ def is_there(experiment: Experiment, path: Path, *, fresh: bool) -> bool:
     The result of a coarser level does not count. All of the file is read and compared with its checksums.
 
     Raises:
-        ArgumentError: the file is something else, or damaged.
+        ArgumentError: the file is something else, or damaged, or what the experiment is read from.
     """
+    own = experiment.user_file
+    sources = {"the config": experiment.source, "the system": own and own.path}
+    for what, source in sources.items():
+        if source and path.exists() and Path(source).exists() and path.samefile(source):
+            raise ArgumentError("output", f"{path} is the file of {what}; name another one")
     if fresh or not path.is_file():
         return False
     try:

@@ -146,7 +146,7 @@ class AdaptiveStrobe(ReturnMap):
         why = jnp.where(ended.trials < _MOST_TRIALS, NOT_FINITE, OUT_OF_STEPS)
         arrived = masked(moving.state, ended.t >= self.length, why)
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(moving.tangents, tangents, strict=True))
-        return Pushforward(arrived, pushed, jnp.exp(moving.log_volume) if volume else jnp.ones_like(first))
+        return Pushforward(arrived, pushed, moving.log_volume if volume else jnp.zeros_like(first))
 
     def _rates(self, volume: bool) -> Callable[[Any, State, Any], list[Any]]:
         """Rates of the state's numbers, and of the logarithm of a volume where that is asked for."""

@@ -68,7 +68,7 @@ class SteppedStrobe(ReturnMap):
     def pushforward(
         self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
     ) -> Pushforward:
-        start = Pushforward(state, tangents, as_batched(jnp.ones_like(state[0][0]), state[0][0]))
+        start = Pushforward(state, tangents, as_batched(jnp.zeros_like(state[0][0]), state[0][0]))
         return lax.fori_loop(0, self.steps, lambda _, pushed: _compose(self.step_map, pushed, p, volume), start)
 
 
@@ -154,7 +154,7 @@ class EventStrobe(ReturnMap):
     ) -> Pushforward:
         """Push tangents as every map does, then along the flow onto the section, with the field's rate."""
         flow_tangents = tuple(Tangent(t.state.state, t.p) for t in tangents)
-        start = Pushforward(state.state, flow_tangents, jnp.ones_like(state.t))
+        start = Pushforward(state.state, flow_tangents, jnp.zeros_like(state.t))
 
         def advance(step_map: ReturnMap, carried: Carried) -> Carried:
             assert isinstance(carried, Pushforward)
@@ -167,7 +167,7 @@ class EventStrobe(ReturnMap):
             Tangent(Crossing(new.state, later, jnp.zeros_like(later)), new.p)
             for new, later in zip(last.tangents, ended.by_tangent, strict=True)
         )
-        return Pushforward(self._arrived(state, ended, last.state), pushed, last.volume)
+        return Pushforward(self._arrived(state, ended, last.state), pushed, last.log_volume)
 
     def _searched(
         self,
@@ -267,7 +267,7 @@ class EventStrobe(ReturnMap):
             moved = jax.tree.map(lambda dz, v, dt=dt: dz + v * dt, tangent.state, moving)
             tangents.append(Tangent(moved, tangent.p))
             later.append(dt)
-        grown = ahead.volume * search.leaving / self.system.rate(ahead.state, p)
+        grown = ahead.log_volume + jnp.log(jnp.abs(search.leaving / self.system.rate(ahead.state, p)))
         return Pushforward(ahead.state, tuple(tangents), grown), tuple(later)
 
     def _arrived(self, start: Crossing, ended: _Search, state: State) -> Crossing:
@@ -345,9 +345,9 @@ def improve_share(
 
 
 def _compose(step_map: ReturnMap, pushed: Pushforward, p: Parameters, volume: bool) -> Pushforward:
-    """State and tangents one map later, volumes multiplied where they are asked for."""
+    """State and tangents one map later, logarithms of volumes added where they are asked for."""
     after = step_map.pushforward(pushed.state, p, pushed.tangents, volume)
-    return after._replace(volume=pushed.volume * after.volume)
+    return after._replace(log_volume=pushed.log_volume + after.log_volume)
 
 
 def _finite(state: State) -> Array:

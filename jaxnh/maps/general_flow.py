@@ -181,7 +181,7 @@ class GeneralStrobe(ReturnMap):
             ended = along_tangents(restored)(grid[-1], ended, placed.state)
         each = unstacked_tangents(ended.tangents, len(tangents)) if stacked else ended.tangents
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
-        return Pushforward(ended.state, pushed, jnp.exp(ended.log_volume) if volume else jnp.ones_like(first))
+        return Pushforward(ended.state, pushed, ended.log_volume if volume else jnp.zeros_like(first))
 
     def _march(
         self,

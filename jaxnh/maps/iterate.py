@@ -85,7 +85,7 @@ def derivative_and_volume(
     tangents = tuple(Tangent(jax.jvp(chart.state, (u,), (e,))[1]) for e in jnp.eye(chart.dimension))
     pushed = strobe.pushforward(chart.state(u), p, tangents)
     columns = [jnp.stack(chart.lower(pushed.state, t.state)) for t in pushed.tangents]
-    return jnp.stack(columns, axis=-1), jnp.abs(pushed.volume)
+    return jnp.stack(columns, axis=-1), jnp.exp(pushed.log_volume)
 
 
 def return_time(strobe: ReturnMap, u: Float[Array, " d"], p: Parameters) -> Float[Array, ""]:

@@ -43,7 +43,7 @@ class IterationStrobe(ReturnMap):
         still = jax.tree.map(jnp.zeros_like, own)
         moved = tuple(t._replace(state=linear(t.state, {**still, **(t.p or {})})) for t in tangents)
         first = jax.tree.leaves(state)[0]
-        shrunk = jnp.exp(self.system.divergence(0.0, state, own)) if volume else jnp.ones_like(first)
+        shrunk = self.system.divergence(0.0, state, own) if volume else jnp.zeros_like(first)
         return Pushforward(image, moved, shrunk)
 
     def stacked(self) -> IterationStrobe:

@@ -95,7 +95,7 @@ class JumpingStrobe(ReturnMap):
         ended = self._marched(Moving(state, tuple(moved), zero if volume else None), p, by_p, stacked=stacked)
         each = unstacked_tangents(ended.tangents[0], len(tangents)) if stacked else ended.tangents
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
-        return Pushforward(ended.state, pushed, jnp.exp(ended.log_volume) if volume else jnp.ones_like(zero))
+        return Pushforward(ended.state, pushed, ended.log_volume if volume else zero)
 
     def end_of(self, step: Array) -> Array:
         """Time at the end of a step."""

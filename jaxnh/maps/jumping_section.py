@@ -148,7 +148,7 @@ class JumpingSection(ReturnMap):
     def pushforward(
         self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
     ) -> Pushforward:
-        """Push tangents as every map does, then along the flow onto the section; the volume is a modulus."""
+        """Push tangents as every map does, then along the flow onto the section."""
         own, zero = own_parameters(self.system.flow, p), jnp.zeros_like(state.t)
         by_p: list[Any] = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         start = Moving(state.state, tuple(t.state.state for t in tangents), zero if volume else None)
@@ -158,7 +158,7 @@ class JumpingSection(ReturnMap):
             Tangent(Crossing(dz, later, zero), t.p)
             for dz, later, t in zip(moving.tangents, ended.by_tangent, tangents, strict=True)
         )
-        grown = jnp.exp(moving.log_volume) if volume else zero + 1.0
+        grown = moving.log_volume if volume else zero
         return Pushforward(self._arrived(state, ended), pushed, grown)
 
     def _searched(

@@ -99,7 +99,7 @@ class KickStrobe(ReturnMap):
             Tangent(((dx, dy), (-n[1] * dtheta, n[0] * dtheta)), t.p)
             for (dx, dy, dtheta), t in zip(moved, tangents, strict=True)
         )
-        return Pushforward((q, n), pushed, shrunk)
+        return Pushforward((q, n), pushed, jnp.log(shrunk))
 
     def _kick(self, entry: Array, carry: _Carry, p: Parameters) -> _Carry:
         if self.compensated:

@@ -92,8 +92,9 @@ class NystromStrobe(GeneralStrobe):
 
         ended = self._march_on(force, project, Moving(state, tuple(t.state for t in tangents)))
         moved = tuple(Tangent(dz, t.p) for dz, t in zip(ended.tangents, tangents, strict=True))
-        grid, unit = jnp.asarray(self.grid), jnp.ones_like(jax.tree.leaves(state)[0])
-        shrunk = unit * jnp.exp(-(grid[-1] - grid[0]) * jnp.sum(jnp.asarray(self.gamma))) if self.damped else unit
+        grid, shrunk = jnp.asarray(self.grid), jnp.zeros_like(jax.tree.leaves(state)[0])
+        if self.damped:
+            shrunk = shrunk - (grid[-1] - grid[0]) * jnp.sum(jnp.asarray(self.gamma))
         return Pushforward(ended.state, moved, shrunk)
 
     @property

@@ -33,13 +33,13 @@ class Pushforward(NamedTuple):
     Attributes:
         state: the state later.
         tangents: the tangents later, in the order given.
-        volume: determinant of the derivative of the section coordinates, of (x1, y1, θ) exp(−∫ n·F/s dt); of a map,
-            which may turn space over, its modulus.
+        log_volume: logarithm of the modulus of the determinant of the derivative of the section coordinates, of
+            (x1, y1, θ) −∫ n·F/s dt: the determinant itself may underflow.
     """
 
     state: State
     tangents: tuple[Tangent, ...]
-    volume: Array
+    log_volume: Array
 
 
 class ReturnMap(eqx.Module):
@@ -91,7 +91,7 @@ class ReturnMap(eqx.Module):
         """The state and any number of tangents one strobe period later, exact derivatives of `__call__`.
 
         Args:
-            volume: whether the volume is asked for; where it costs a derivative of its own, it is one else.
+            volume: whether the volume is asked for; where it costs a derivative of its own, it is zero else.
         """
 
     def rescaled_time(self, factor: ArrayLike) -> ReturnMap:

@@ -233,6 +233,13 @@ def test_what_does_not_stay_is_none(lanes):
     assert classify(scene, lanes, records, 4, 64).kind.tolist() == [NONE, NONE]
 
 
+def test_the_interval_of_no_hit_begins_at_zero():
+    """To the bit, whatever the number of draws, and that of nothing else ends at one."""
+    count = np.arange(1, 2000)
+    assert not wilson(np.zeros_like(count), count)[0].any()
+    assert np.all(wilson(count, count)[1] == 1.0)
+
+
 def test_wilson():
     """Of no hit among n the upper bound is z²/(n + z²); of all hits the lower one mirrors it."""
     z2 = 3.841458820694124
@@ -316,7 +323,7 @@ def test_random_starts(tmp_path):
     ("options", "sweep", "message"),
     [
         ({"n_starts": 4}, {}, "needs a box to draw from"),
-        ({"box": {"x": [0.0, 1.0]}}, {}, "needs n_starts, their number"),
+        ({"box": {"x": [0.0, 1.0]}}, {}, "goes with n_starts, the number of random starts in it"),
         ({"n_starts": 4, "box": {"x": [1.0, 0.0]}}, {}, "the first number must be the lower one, not 1 and 0"),
         ({"n_starts": 4, "box": {"z": [0.0, 1.0]}}, {}, "there is no coordinate z; known are x, v"),
         ({"n_starts": 4, "box": {"x": [0.0, 1.0]}}, {"v": {"values": [0.0]}}, "random starts and the axis v of start"),

@@ -55,12 +55,14 @@ def test_bands_of_the_logistic_map():
 
 
 def test_a_flip_saddle_carries_henons_attractor():
+    """Just before its crisis points come nearer to the saddle on the boundary than to each other, and no leaf passes it."""
     data = jaxnh.Session(henon, start={"x": 0.1, "y": 0.1}).run(
-        jaxnh.Orbits(max_period=2, attractor=4096), a=np.array([1.4])
+        jaxnh.Orbits(max_period=2, attractor=4096), a=np.array([1.4, 1.4269])
     )
-    assert carriers(data) == ["flip saddle"]
-    assert data["least_unstable"].to_numpy().tolist() == [1]
+    assert carriers(data)[0] == "flip saddle"
+    assert data["least_unstable"].to_numpy()[0] == 1
     assert places(data, 0) == ["outside", "inside", "inside"]  # the fixed point on the other side is on the boundary
+    assert places(data, 1) == ["undecided", "inside", "inside"]
 
 
 def test_a_discrete_lorenz_attractor():

@@ -10,6 +10,7 @@ from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories import poincare
 from jaxnh.analyses.trajectories.poincare import PoincareOptions, run
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.plan import count_warnings
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
 from tests.flows.particle import SYSTEMS, twin
@@ -78,9 +79,18 @@ def test_nothing_is_differentiated(monkeypatch):
 
 
 def test_trajectories_that_leave_the_numbers_are_counted():
-    for codes, lost in (([0, 3, 1], 2), ([0, 0, 0], 0)):
+    for codes, lost in (([0, 3, 1], {"not_finite": 1, "singular": 1}), ([0, 0, 0], {})):
         found = xr.Dataset({"status": (LANE, codes)})
-        assert poincare.count(found) == {"trajectories": 3, "failed": lost}
+        assert poincare.count(found) == {"trajectories": 3, "failed": len(lost), **lost}
+
+
+def test_a_warning_says_why_trajectories_have_failed():
+    """A lane that does not return, or chatters, is finite."""
+    counts = poincare.count(xr.Dataset({"status": (LANE, [0, 4, 4, 6])}))
+    assert count_warnings("poincare", counts) == (
+        "poincare: 2 of 4 trajectories do not return to the section",
+        "poincare: 1 of 4 trajectories end in chattering, ever more impacts in finite time",
+    )
 
 
 def test_expected_work_is_the_work_done():

@@ -96,3 +96,21 @@ def test_verdicts_of_lorenz(lorenz):
         assert np.all(np.abs(spectra[i] - spectrum(rho)) <= errors[i] + 1e-13)
     assert spectra[2, 0] > errors[2, 0] > 0.0
     assert spectra[3, 0] == 0.0
+
+
+def pendulum(d=0.1):
+    def rhs(y, t):
+        x, v = y
+        return v, -np.sin(1.0) * x - d * v
+
+    return {"rhs": rhs, "coordinates": ("x", "v")}
+
+
+@pytest.mark.slow
+def test_a_lane_that_begins_at_rest():
+    """Its exponents are those of the equilibrium, of which there was no number and the status was not_finite."""
+    session = jaxnh.Session(pendulum, start={"x": 0.0, "v": 0.0}, target=1e-6)
+    data = session.run(jaxnh.Lyapunov(transient=8, periods=16, exponents=2), d=[0.0, 0.1])
+    assert jaxnh.labels(data["exponents_method"]).to_numpy().tolist() == ["equilibrium"] * 2
+    np.testing.assert_allclose(data["exponents"], [[0.0, 0.0], [-0.05, -0.05]], atol=1e-13)
+    assert not data["status"].any()

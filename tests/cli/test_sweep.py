@@ -191,6 +191,13 @@ def test_other_file_is_not_replaced(sweep, config, content):
     assert message == "command line: --output: other.h5 is there and is no result of jaxnh; --fresh replaces it"
 
 
+def test_a_config_is_never_replaced_by_its_result(sweep, config):
+    before = config.read_bytes()
+    message = refused(sweep, config.parent, config.name, "--fresh", "--output", config.name)
+    assert message == f"command line: --output: {config.name} is the file of the config; name another one"
+    assert config.read_bytes() == before
+
+
 def test_damaged_result_is_not_there(sweep, done):
     """One bit of its data, as inspect finds it: it is said, with what to do, and nothing is touched until then."""
     config, path, _, _ = done

@@ -36,10 +36,11 @@ WRONG = {
     "a user's parameter": (GOVERNOR, "system.drove=1", "system.drove: unknown key (did you mean drive?); known keys are file"),
     "a user's coordinate": (GOVERNOR, "initial.z=1", "initial.z: unknown key; known keys are project, level, x, x_dot"),
     "a user's axis": (GOVERNOR, "sweep.omege={values: [1.0]}", "sweep.omege: unknown key"),
-    "a user's section": (GOVERNOR, "section.coordinate=z", "section.coordinate: unknown key; known keys are x, y"),
+    "a user's section": (GOVERNOR, "section.coordinate=z", "section.coordinate: there is no coordinate z; known are x, y"),
     "a size of no coordinate": (GOVERNOR, "accuracy.scale={z: 1.0}", "accuracy.scale.z: unknown key; known keys are x, x_dot"),
     "a size that is none": (GOVERNOR, "accuracy.scale={x: 0.0}", "accuracy.scale.x: must be above 0, not 0.0"),
     "sizes of the particle": (TABLE, "accuracy.scale={x1: 1.0}", "accuracy.scale: unknown key; known keys are target"),
+    "a file that is a number": (GOVERNOR, "system.file=5", "system.file: must be the name of a Python file, not 5"),
     "a file that is not there": (GOVERNOR, "system.file=none.py", "system.file: there is no file "),
 }  # fmt: skip
 

@@ -153,7 +153,7 @@ def test_derivatives_of_the_return(lanes):
 
 
 def volume_of(strobe, u, p):
-    return strobe.pushforward(strobe.chart.state(u), p, ()).volume
+    return jnp.exp(strobe.pushforward(strobe.chart.state(u), p, ()).log_volume)
 
 
 def test_reversal_of_time(lanes):

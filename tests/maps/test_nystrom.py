@@ -206,7 +206,7 @@ def jacobians(strobe, u, p):
 
 
 def volume_of(strobe, state, p):
-    return strobe.pushforward(state, p, ()).volume
+    return jnp.exp(strobe.pushforward(state, p, ()).log_volume)
 
 
 def test_parts_of_a_period_are_the_period(lanes):

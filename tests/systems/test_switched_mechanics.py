@@ -88,7 +88,7 @@ def test_a_constraint_that_begins_takes_a_rank():
         z = flow.chart.state(u)
         tangents = tuple(Tangent(flow.chart.lift(z, tuple(e))) for e in jnp.eye(4))
         after = strobe.pushforward(z, {}, tangents)
-        return jnp.stack([jnp.stack(flow.chart.components(t.state)) for t in after.tangents]), after.volume
+        return jnp.stack([jnp.stack(flow.chart.components(t.state)) for t in after.tangents]), jnp.exp(after.log_volume)
 
     matrix, volume = pushed(u)
     values = np.linalg.svd(np.asarray(matrix), compute_uv=False)
@@ -225,7 +225,7 @@ def test_a_wall_is_that_of_a_right_hand_side():
         def push(u):
             d = derivatives(strobe, 1, u, {"r": 0.8}, ("r",))
             after = strobe.pushforward(flow.chart.state(u), {}, ())
-            return *after.state.y, after.volume, d.monodromy, d.by_parameter
+            return *after.state.y, jnp.exp(after.log_volume), d.monodromy, d.by_parameter
 
         return [np.asarray(x) for x in push(u)]
 

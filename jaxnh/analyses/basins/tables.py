@@ -59,7 +59,9 @@ def wilson(hits: Int[np.ndarray, ...], count: Int[np.ndarray, ...]) -> tuple[np.
     z2 = _QUANTILE**2
     middle = (hits + z2 / 2) / (count + z2)
     half = _QUANTILE / (count + z2) * np.sqrt(hits * (count - hits) / count + z2 / 4)
-    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
+    # Of no hit, or nothing else, an end is 0 or 1 but for rounding.
+    low, high = np.where(hits > 0, middle - half, 0.0), np.where(hits < count, middle + half, 1.0)
+    return np.maximum(low, 0.0), np.minimum(high, 1.0)
 
 
 def basins_group(

@@ -13,12 +13,18 @@ from jaxtyping import Float
 
 from jaxnh.analyses.exponents.tangent_growth import TangentState
 from jaxnh.analyses.options.base import BLOCKS
-from jaxnh.analyses.smooth_window import half_window_weights, window_weights
+from jaxnh.analyses.smooth_window import DEGREE, drift_basis, half_window_weights
 
 _FEWEST = 4  # means of a batch that an error is taken from
 _ROUNDING = 1e-10  # of a smooth average a period
 _UNSEEN = 3.0  # events that were never seen: their mean number over as long a run is below this, 95 %
 _BURST = 7.0  # logarithm of growth in a burst of chaos: from a thousandth of the attractor to all of it
+_SETTLED = 4.0  # of the logarithm of volume: what is left of the way to an attractor is below 2 in 100
+_CONSTANT = 1e-13  # of the scatter of a divergence that is the same everywhere, by rounding
+_POWER_LAW = 4.0  # times what an exponential drift leaves: one like time^(−1/3)
+_DRIFT = 20.0  # times what scatters: of Student's t with three degrees of freedom in 3 of 10,000
+_DRIFT_OF_BLOCKS = 8.0  # times their scatter, which is 6 of Student's t: windows scatter more than means
+_STEADY = 1e-12  # of a drift in a window, a period, and of the mean above one: rounding
 _SLOW = 0.8  # von Neumann's ratio of block means: 2 where they are independent, below this in 1 of 500 such runs
 
 
@@ -69,18 +75,23 @@ def change(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return np.where(first == second, 0.0, np.abs(first - second))
 
 
-def smooth_parts(growth: TangentState, block: int, number: int) -> Float[np.ndarray, "lanes 3 sums"]:
-    """Return the part of block `number` in the smooth averages over the whole, the first half and the second."""
+def smooth_parts(growth: TangentState, block: int, number: int) -> Float[np.ndarray, "lanes parts sums"]:
+    """Return the part of block `number` in the smooth averages of a lane.
+
+    They are those over the whole, the first half and the second, and the coefficients of growth in the polynomials of
+    degree 1 to `DEGREE` of time that are orthonormal under the window.
+    """
     points = (np.arange(block * BLOCKS) + 0.5) / (block * BLOCKS)
-    whole, half = (np.stack(sums, axis=-1) for sums in growth.smooth)
-    parts = np.zeros((len(half), 3, half.shape[1]))
-    parts[:, 0] = whole / window_weights(points).sum()
+    *moments, half = (np.stack(sums, axis=-1) for sums in growth.smooth)
+    parts = np.zeros((len(half), 3 + DEGREE, half.shape[1]))
+    coefficients = np.einsum("ij,jls->lis", drift_basis(points)[0], np.stack(moments))
+    parts[:, 0], parts[:, 3:] = coefficients[:, 0], coefficients[:, 1:]
     second = int(number >= BLOCKS // 2)
     parts[:, 1 + second] = half / half_window_weights(points)[1][(points >= 0.5) == second].sum()
     return parts
 
 
-def average_windows(parts: Float[np.ndarray, "lanes 3 sums"], before: float, length: float) -> Average:
+def average_windows(parts: Float[np.ndarray, "lanes parts sums"], before: float, length: float) -> Average:
     """Return the smooth average over the whole, and its error by those over its halves.
 
     Both halves know less than the whole; their distance is the error of an average that converges faster than its
@@ -99,6 +110,73 @@ def average_windows(parts: Float[np.ndarray, "lanes 3 sums"], before: float, len
     apart = np.abs(parts[:, 1] - parts[:, 2])
     beside = np.abs(parts[:, 0] - 0.5 * (parts[:, 1] + parts[:, 2]))
     return Average(parts[:, 0], max(1.0, left) * apart + beside + _ROUNDING)
+
+
+def widen_by_drift(
+    average: Average,
+    parts: Float[np.ndarray, "lanes parts sums"],
+    rates: Float[np.ndarray, "lanes blocks sums"] | None = None,
+) -> Average:
+    """Enlarge the errors of means that drift to what the drift may still come to.
+
+    A motion that comes to its attractor slowly has means of which a window shows a small part. About the middle of the
+    window growth is μ + μ′τ + μ″τ²/2: its coefficients in orthonormal polynomials fall with the degree, where those of
+    all that only scatters, or turns fast, are alike. A slope far above the coefficients of degree 3 and more is a
+    drift; of a plain average one far above the scatter of blocks about their line. One like e^−γt has μ′²/μ″ left,
+    whatever γ; one like t^−p has (p + 1)/p as much, and more in a wide window: three times where p is 1/2, as of a mean
+    that is linear in the amplitude of a motion at the onset of its attractor, and four are allowed for. A fall that
+    begins fast, as t^−p soon after t = 0, is a sum of exponentials: its coefficients alternate in sign and fall with
+    the degree, as of what scatters they do in 1 of 1,920 lanes; then all of them belong to the drift. Where a drift
+    does not slow down, beyond what scatters, there is no end of it in the window, and the error is infinite.
+
+    Args:
+        parts: as of `smooth_parts`, over the whole run.
+        rates: of blocks, where the means are plain averages.
+    """
+    parts = np.where(np.isfinite(parts), parts, 0.0)
+    leading = drift_basis((np.arange(4096) + 0.5) / 4096)[1]
+    slope, bend = parts[:, 3], parts[:, 4]
+    if rates is None:
+        noise, freedom, least = np.sqrt(np.mean(parts[:, 5:] ** 2, axis=1)), DEGREE - 2, _DRIFT
+        alternating = np.all(parts[:, 3:-1] * parts[:, 4:] < 0.0, axis=1)
+        falls = alternating & np.all(np.abs(parts[:, 3:-1]) > np.abs(parts[:, 4:]), axis=1)
+        noise = np.where(falls, 0.0, noise)
+    else:
+        noise, freedom, least = _scatter_about_line(rates), BLOCKS - 2, _DRIFT_OF_BLOCKS
+    slows = -np.sign(slope) * bend - student(freedom + 1) * noise
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left = _POWER_LAW * (slope / leading[1]) ** 2 / (2.0 * np.maximum(slows, 0.0) / leading[2])
+        drifts = np.abs(slope) > np.maximum(least * noise, _STEADY * np.maximum(np.abs(average.mean), 1.0))
+    return average._replace(error=np.where(drifts, np.maximum(average.error, left), average.error))
+
+
+def widen_unsettled(total: Average, rates: Float[np.ndarray, "lanes blocks sums"], periods: int) -> Average:
+    """Enlarge the errors of sums of exponents of motions that cannot have settled yet.
+
+    On an attractor whose sum is σ a motion has settled where volumes have shrunk by many factors e. Where they have
+    changed by less than e^±4 in all its periods, and by how much depends on where it is, a sum that is not zero is one
+    along a transient, or the attractor's is as small; one of 4 over the periods would have been seen to settle.
+
+    Args:
+        rates: of volume in blocks, of the whole run.
+        periods: from the start to the end, transient and average.
+    """
+    with np.errstate(invalid="ignore"):
+        varies = np.std(rates, axis=1) > _CONSTANT * np.maximum(np.abs(total.mean), 1.0)
+    least = _SETTLED / periods
+    unsettled = varies & (np.abs(total.mean) > total.error) & (np.abs(total.mean) < least)
+    return total._replace(error=np.where(unsettled, np.maximum(total.error, least), total.error))
+
+
+def _scatter_about_line(rates: Float[np.ndarray, "lanes blocks sums"]) -> Float[np.ndarray, "lanes sums"]:
+    """Return the standard error of means of blocks about a straight line; infinite where blocks are no numbers."""
+    line = np.arange(rates.shape[1]) - 0.5 * (rates.shape[1] - 1)
+    with np.errstate(invalid="ignore"):  # of tangents that have vanished
+        about = rates - rates.mean(axis=1, keepdims=True)
+        rise = np.einsum("lbs,b->ls", about, line) / np.sum(line**2)
+        squares = np.sum((about - rise[:, None] * line[:, None]) ** 2, axis=1)
+    scatter = np.sqrt(squares / (rates.shape[1] - 2) / rates.shape[1])
+    return np.where(np.isfinite(scatter), scatter, np.inf)
 
 
 def widen_to_zero(average: Average, before: float, length: float) -> Average:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows
+from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows, widen_by_drift, widen_unsettled
 from jaxnh.analyses.exponents.from_orbits import OrbitExponents
 from jaxnh.analyses.exponents.tangent_growth import TangentState
 from jaxnh.systems.lagrangian import Lagrangian
@@ -29,7 +29,7 @@ class Averages(NamedTuple):
         growth: of every lane at its end.
         rates: growth a period in every block that was run: of the flow's direction without a clock, of each tangent,
             of volume, and of volume by quadrature, (lanes, blocks, sums).
-        smooth: smooth averages over the whole, its first and its second half, without the last sum, (lanes, 3, sums).
+        smooth: what `smooth_parts` gives of the whole, without the last sum, (lanes, parts, sums).
         blocks: number of blocks that were run, (lanes,).
         settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
     """
@@ -37,7 +37,7 @@ class Averages(NamedTuple):
     start: LaneStates
     growth: TangentState
     rates: Float[np.ndarray, "lanes blocks sums"]
-    smooth: Float[np.ndarray, "lanes 3 sums"]
+    smooth: Float[np.ndarray, "lanes parts sums"]
     blocks: Int[np.ndarray, " lanes"]
     settled: OrbitExponents
 
@@ -60,13 +60,27 @@ def step_error(batch: LaneBatch) -> float:
     return _TANGENT_ERRORS * batch.error_estimate
 
 
-def exponent_sum(batch: LaneBatch, averages: Averages, spectrum: Spectrum, aligned: int, block: int) -> Average:
+def widen_plain_by_drift(average: Average, averages: Averages, chosen: np.ndarray, sums: slice) -> Average:
+    """Enlarge the errors of plain averages of chosen lanes to what a drift beyond their scatter may still come to.
+
+    Of lanes that stopped early no drift is known.
+
+    Args:
+        sums: those of the rates that the averages are of.
+    """
+    return widen_by_drift(average, averages.smooth[chosen][:, :, sums], averages.rates[chosen][:, :, sums])
+
+
+def exponent_sum(
+    batch: LaneBatch, averages: Averages, spectrum: Spectrum, transient: int, aligned: int, block: int
+) -> Average:
     """Return the sum of all exponents a period, and its error at 95 %.
 
     Of averages it is the growth of volume, which scatters less than each exponent; else the sum of the exponents.
 
     Args:
-        aligned, block: periods that tangents were carried before the averages, and in a block.
+        transient, aligned, block: periods before the averages, those that tangents were carried before them, and those
+            of a block.
     """
     k = spectrum.mean.shape[1]
     total, error = spectrum.mean.sum(axis=1), spectrum.error.sum(axis=1)
@@ -74,10 +88,14 @@ def exponent_sum(batch: LaneBatch, averages: Averages, spectrum: Spectrum, align
     for blocks in np.unique(averages.blocks[average]):
         chosen = average & (averages.blocks == blocks)
         plain = average_blocks(averages.rates[chosen, :blocks, k : k + 1])
+        plain = widen_plain_by_drift(plain, averages, chosen, np.s_[k : k + 1])
+        plain = widen_unsettled(plain, averages.rates[chosen, :blocks, k : k + 1], transient + blocks * block)
         total[chosen], error[chosen] = plain.mean[:, 0], plain.error[:, 0]
     if np.any(smooth):
         length = block * averages.rates.shape[1]
-        windows = average_windows(averages.smooth[smooth, :, k : k + 1], aligned, length)
+        parts = averages.smooth[smooth, :, k : k + 1]
+        windows = widen_by_drift(average_windows(parts, aligned, length), parts)
+        windows = widen_unsettled(windows, averages.rates[smooth, :, k : k + 1], transient + length)
         total[smooth], error[smooth] = windows.mean[:, 0], windows.error[:, 0]
     return Average(total, error + step_error(batch))
 

@@ -33,10 +33,18 @@ from jaxnh.analyses.exponents.errors import (
     change,
     smooth_parts,
     unseen_bursts,
+    widen_by_drift,
     widen_to_sum_rule,
     widen_to_zero,
 )
-from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum, area_growth, exponent_sum
+from jaxnh.analyses.exponents.estimates import (
+    SOURCES,
+    Averages,
+    Spectrum,
+    area_growth,
+    exponent_sum,
+    widen_plain_by_drift,
+)
 from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
 from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refinement_needed
 from jaxnh.analyses.exponents.tangent_growth import (
@@ -52,8 +60,10 @@ from jaxnh.analyses.exponents.tangent_growth import (
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
+from jaxnh.analyses.smooth_window import DEGREE
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import NOT_FINITE, status
+from jaxnh.systems.state import is_finite
 
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
@@ -63,10 +73,10 @@ _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
-    "the whole, and twice what twice the steps change; of both, up to zero where a finite "
-    "window leaves that open, and at least the residual of the sum rule where that contradicts them; of an orbit: "
-    "twice what twice the steps change in its multipliers; of an equilibrium: "
-    "twice what a last step of Newton changes in its eigenvalues, and what rounding may"
+    "the whole, and twice what twice the steps change; of both, up to zero where a finite window leaves that open, as "
+    "much as a drift that slows down may still come to, infinite where one does not slow down, and at least the "
+    "residual of the sum rule where that contradicts them; of an orbit: twice what twice the steps change in its "
+    "multipliers; of an equilibrium: twice what a last step of Newton changes in its eigenvalues, and what rounding may"
 )
 
 
@@ -93,9 +103,11 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     Also choose the refinement of the steps, where tangents need more of them than states.
     """
     batch, k = batch.without_section(), tangents(options, batch.without_section())
-    if k == 1 or not batch.flow.continuous:
+    if not batch.flow.continuous:
         return {"parts": 1}
     parts, growth = parts_needed(batch, lanes, k)
+    if parts == k == 1:
+        return {"parts": 1}
     refinement = refinement_needed(batch, lanes, growth, parts)
     return {"parts": parts} | ({"refinement": refinement} if refinement > 1 else {})
 
@@ -140,7 +152,7 @@ def averages(
             _write_lanes(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
     start = jax.tree.map(np.array, growth.state)
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
-    smooth = np.zeros((count, 3, lead + k + 1))
+    smooth = np.zeros((count, 3 + DEGREE, lead + k + 1))
     done = np.zeros(count, int)
     running = np.arange(count)
     settled = no_orbits(lead + k)
@@ -194,13 +206,15 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         plain = average_blocks(averages.rates[chosen, :blocks, : lead + k])
         mean[chosen], error[chosen] = widen_to_zero(plain, aligned, blocks * block)
     source, vanished = np.zeros(batch.count, np.int8), np.isneginf(mean)
+    drift = widen_plain_by_drift(Average(mean, error), averages, np.arange(batch.count), np.s_[: lead + k])
     if options.method == "averages":
-        return Spectrum(mean, error, source)
+        return Spectrum(mean, drift.error, source)
     number, ran = np.arange(BLOCKS), averages.blocks
     late = (number < ran[:, None]) & (number >= (ran - np.maximum(ran // 4, 1))[:, None])
     last = np.mean(averages.rates[:, :, lead], axis=1, where=late)
     undecided = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
-    undecided &= ~np.any(np.isnan(mean), axis=1)
+    unknown = np.any(np.isnan(mean), axis=1)
+    undecided &= ~unknown
     whole = np.flatnonzero(undecided & (averages.blocks == BLOCKS))
     windows = np.where(vanished[whole, None], 0.0, averages.smooth[whole, :, : lead + k])
     smooth = average_windows(windows, aligned, BLOCKS * block)
@@ -208,10 +222,11 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     better = smooth.error[:, lead] < error[whole, lead]
     regular = whole[better]
     source[regular] = SOURCES.index("smooth_average")
+    smooth, error = widen_by_drift(smooth, windows), drift.error
     mean[regular] = smooth.mean[better]
     error[regular] = smooth.error[better] + _step_error(batch, lanes, select(averages.growth, regular), regular, parts)
-    drifting = whole[~better]
-    error[drifting] += unseen_bursts(averages.rates[drifting, :, lead : lead + 1], BLOCKS * block)[:, None]
+    plain = whole[~better]
+    error[plain] += unseen_bursts(averages.rates[plain, :, lead : lead + 1], BLOCKS * block)[:, None]
     mean[vanished], error[vanished] = -np.inf, 0.0
     candidates = np.flatnonzero(undecided)
     orbits = [averages.settled]
@@ -220,6 +235,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     for settled in orbits:
         source[settled.lanes] = SOURCES.index("orbit")
         mean[settled.lanes], error[settled.lanes] = settled.logs, settled.error
+    # At rest from the start the flow has no direction, and nothing else has a growth across it.
+    candidates = np.flatnonzero(undecided | (unknown & is_finite(averages.growth.state)))
     if len(candidates) and lead:
         still, _, exponents, bound = detect_equilibrium(
             batch.take(candidates), lanes, options.transient + options.periods
@@ -320,7 +337,9 @@ def _dataset(
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
             variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
-        total = exponent_sum(batch, averages, spectrum, options.transient // _ALIGNING, options.periods // BLOCKS)
+        total = exponent_sum(
+            batch, averages, spectrum, options.transient, options.transient // _ALIGNING, options.periods // BLOCKS
+        )
         variables |= _sum_and_dimension(batch, total, exponents)
     return xr.Dataset(variables, attrs=attrs)
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.exponents.tangent_growth import TangentState, average, begin, cut_period, split_stack
+from jaxnh.analyses.exponents.tangent_growth import LARGEST_LOSS, TangentState, average, begin, cut_period, split_stack
+from jaxnh.systems.state import is_finite
 
-_LARGEST_LOSS = 18.0  # a tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left
 _LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
 _MOST_PARTS = 1024
 _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
@@ -27,11 +27,13 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
     """Return orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
 
     Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
-    bounds what a longer part does; where that is all that rounding lets one see, a smaller part is looked at. Also
-    these lanes some periods from their start.
+    bounds what a longer part does; where that is all that rounding lets one see, or where a tangent underflows, a
+    smaller part is looked at. One tangent alone is looked at over whole periods. Also these lanes some periods from
+    their start.
     """
     few = _pilots(batch)
-    parts = _PILOT_PARTS
+    parts, seen = (_PILOT_PARTS, _LARGEST_SEEN) if k > 1 else (1, LARGEST_LOSS)  # in a whole period more drowns
+    first = None
     while True:
         state, p = few.lanes
         growth = lanes(begin, (batch.system,), (state,), static=(k,))
@@ -39,14 +41,18 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
         # without a clock parts are equal, and `average` takes them so.
         single = parts == _PILOT_PARTS and not batch.flow.autonomous
         strobes = cut_period(batch, parts)
-        loss = 0.0
+        loss, underflows = 0.0, False
         for strobe in split_stack(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):
             growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
             loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
-        if loss < _LARGEST_SEEN or parts == _MOST_PARTS:
+            underflows |= bool(np.any(np.isnan(growth.logs) & is_finite(growth.state)))
+        first = first or (parts, loss)
+        if (loss < seen and not underflows) or parts == _MOST_PARTS:
             break
         parts *= 4
-    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / _LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
+    if underflows:  # however short the parts: tangents of a lane at rest have no direction across the flow
+        parts, loss = first
+    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
 
 
 def refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState, parts: int) -> int:

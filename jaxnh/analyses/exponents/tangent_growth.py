@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, Link, keep_all
 from jaxnh.analyses.options.base import BLOCKS
-from jaxnh.analyses.smooth_window import half_window_weights
+from jaxnh.analyses.smooth_window import DEGREE, moment_weights
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import cut_strobe, maps_between, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
@@ -36,6 +36,10 @@ _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
 _WRITTEN_OUT = 6  # vectors orthonormalised by written-out equations: of ten they are half of a program, here 2,000
 _LOST = 1e-9  # of a tangent's length, left across the others: rank is lost, where maps say that some is
+LARGEST_LOSS = 18.0
+"""A tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left."""
+
+_AS_LOSS = LARGEST_LOSS / 300.0  # of a logarithm of growth: the square of e^354 is no number
 _KICKS_A_NODE = 4  # of the map: its own error, a processed one's too, is larger than that of a step of ten kicks
 
 
@@ -48,8 +52,9 @@ class TangentState(NamedTuple):
         logs: k sums of the logarithms of the tangents' growth; without a clock, that along the flow before them.
         volume: sum of the logarithms of the growth of volume.
         divergence: integral of the flow's divergence by quadrature, zero where it is not asked for.
-        smooth: the sums of logs and volume, over periods under the windows of `half_window_weights`, as tuples.
-        loss: largest logarithm by which the last tangent shrank against the first in one part of a period.
+        smooth: the sums of logs and volume, over periods under the weights of `moment_weights`, as tuples.
+        loss: largest logarithm by which the last tangent shrank against the first in one part of a period; as much as
+            `LARGEST_LOSS` where squares of tangents come near the ends of the range of numbers.
     """
 
     state: LaneStates
@@ -199,7 +204,7 @@ def begin(flow: Flow, state: State, k: int) -> TangentState:
     zero = jnp.zeros_like(state[0][0])
     tangents = jax.tree.map(lambda component: zero + component, flow.chart.directions(k))
     sums = k + int(flow.autonomous)
-    return TangentState(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * 2, zero)
+    return TangentState(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * (DEGREE + 2), zero)
 
 
 def advance(
@@ -223,7 +228,7 @@ def advance(
             growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents), wanted
         )
         moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
-        singular = pushed.volume == 0.0 if flow.loses_rank else None
+        singular = jnp.isneginf(pushed.log_volume) if flow.loses_rank else None
         if flow.autonomous:
             tangents, grown = _orthonormalise_across(flow, growth.state, pushed.state, moved, p, singular)
         else:
@@ -233,8 +238,9 @@ def advance(
         shrunk = largest - grown[-1]
         if flow.loses_rank:  # what has vanished needs no digits
             shrunk = jnp.max(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, largest - g) for g in grown]))
-        loss = jnp.maximum(growth.loss, shrunk)
-        volume = growth.volume + jnp.log(pushed.volume) if wanted else growth.volume
+        far = _AS_LOSS * jnp.max(jnp.abs(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, g) for g in (largest, grown[-1])])))
+        loss = jnp.maximum(growth.loss, jnp.maximum(shrunk, far))
+        volume = growth.volume + pushed.log_volume if wanted else growth.volume
         return growth._replace(state=pushed.state, tangents=tangents, logs=logs, volume=volume, loss=loss), None
 
     def period(i: Array, growth: TangentState) -> TangentState:
@@ -243,7 +249,7 @@ def advance(
         at = first + (jnp.float64(i) + 0.5) / (jnp.float64(count) * BLOCKS)
         smooth = tuple(
             tuple(sum_ + weight * g for sum_, g in zip(sums, grown, strict=True))
-            for weight, sums in zip(half_window_weights(at), growth.smooth, strict=True)
+            for weight, sums in zip(moment_weights(at), growth.smooth, strict=True)
         )
         if quadrature is not None:
             after = after._replace(divergence=growth.divergence + _divergence(quadrature, growth.state, p))

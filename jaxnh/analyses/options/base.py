@@ -91,7 +91,13 @@ def check_random_starts(
 ) -> None:
     """Check that random starts have a box to be drawn from, whose sides are in order, and that a seed is of some."""
     if bool(n_starts) != bool(box):
-        raise rule(*((f"needs {name}, their number", "box") if box else ("needs a box to draw from", name)))
+        raise rule(
+            *(
+                (f"goes with {name}, the number of random starts in it", "box")
+                if box
+                else ("needs a box to draw from", name)
+            )
+        )
     check_sides(box)
     if seeded and not n_starts:
         raise rule("goes with starts, and there are none", "seed")

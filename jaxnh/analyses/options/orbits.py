@@ -92,7 +92,13 @@ class BranchesOptions(Continuation, SensitivityOptions):
     def _check(self) -> BranchesOptions:
         asked = "n_starts" if self.n_starts else "equilibria"
         if bool(self.n_starts or self.equilibria) != bool(self.box):
-            raise rule(*(("needs n_starts, their number", "box") if self.box else ("needs a box to draw from", asked)))
+            raise rule(
+                *(
+                    ("goes with n_starts, the number of random starts in it", "box")
+                    if self.box
+                    else ("needs a box to draw from", asked)
+                )
+            )
         check_sides(self.box)
         for name in ("seed", "n_values"):
             if name in self.model_fields_set and not self.box:

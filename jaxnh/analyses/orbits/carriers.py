@@ -4,7 +4,8 @@ Distances are in sizes of the motion, angles on their circle. An orbit lies in t
 as near to the motion as its own points are to one another: nearer than 99 in 100 of them to the next one. It lies
 outside where it is more than four times further than any. In between the unstable leaves of the motion, which belong to
 the attractor, decide where they come as near to it (`unstable_leaves`); else neither is said, as the motion may come so
-near only after longer.
+near only after longer. A saddle whose nearest points of the motion all lie on one side of its stable manifold may be
+one that the attractor only comes near to, as before a crisis: it is inside where leaves come much nearer than points.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from jaxnh.analyses.batch import LaneRunner, select
 from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
 from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.orbits.tables import LaneOrbits, gather, rows_of
-from jaxnh.analyses.orbits.unstable_leaves import leaf_distances
+from jaxnh.analyses.orbits.unstable_leaves import is_beside, leaf_distances
 from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.maps.iterate import section_map
 
@@ -34,6 +35,7 @@ CARRIERS = (
 """Meanings of the flags 0 to 8 of `carrier`."""
 
 _TYPICAL, _FAR = 0.99, 4.0
+_NEARER = 0.1  # of the distance from points, that leaves come to where they come to the saddle
 _TILE = 16  # lanes: of a piece of a leaf there are few points
 _CLOSE = 1e-6  # sizes: an orbit this near is one that the motion has come to
 
@@ -94,24 +96,32 @@ def _by_leaves(
     places: Places,
     typical: Float[np.ndarray, " cycles"],
 ) -> Places:
-    """Return the places with those of undecided saddles that an unstable leaf of the motion comes to."""
+    """Return the places with those of saddles that an unstable leaf of the motion comes to, or should and does not."""
     measured, batch = part.measured[n], part.batch
     modulus, error = np.abs(measured.multipliers), measured.multipliers_error
     single = (modulus[:, 0] > 1.0 + error[:, 0]) & np.all(modulus[:, 1:] < 1.0 - error[:, 1:], axis=1)
-    open_ = np.flatnonzero(single & (places.place == PLACES.index("undecided")))
-    if not len(open_) or batch.chart.dimension == 1:
+    undecided, inside = (places.place == PLACES.index(word) for word in ("undecided", "inside"))
+    saddles = np.flatnonzero(single & (undecided | (inside & (places.distance > _CLOSE))))
+    if not len(saddles) or batch.chart.dimension == 1:
         return places
-    lane, strobe, p = part.search.cycles[n].lane[open_], refined_maps(batch)[0], dict(batch.p)
+    strobe, p = refined_maps(batch)[0], dict(batch.p)
+    period, of_orbits = map_of_lanes(batch, lanes, strobe), part.search.cycles[n].lane[saddles]
+    of_lanes = motion[of_orbits], measured.points[saddles], of_orbits, part.search.size[of_orbits]
+    asked = undecided[saddles] | is_beside(period, batch.chart, *of_lanes)
+    open_ = saddles[asked]
+    if not len(open_):
+        return places
+    wanted = np.where(undecided, typical, _NEARER * places.distance)[open_]
 
     def image(u: Float[np.ndarray, "points d"], lane: Int[np.ndarray, " points"]) -> Float[np.ndarray, "points d"]:
         return np.asarray(lanes(section_map, (strobe, np.int32(1)), (u, select(p, lane)), tile=_TILE))
 
-    of_lanes = motion[lane], measured.points[open_], lane, part.search.size[lane], typical[open_]
-    found = leaf_distances(map_of_lanes(batch, lanes, strobe), image, batch.chart, *of_lanes)
+    moving, points, lane, size = (values[asked] for values in of_lanes)
+    found = leaf_distances(period, image, batch.chart, moving, points, lane, size, wanted)
     distance, place, near = places.distance.copy(), places.place.copy(), places.near.copy()
     distance[open_] = np.minimum(distance[open_], found)
-    inside = open_[found <= typical[open_]]
-    place[inside], near[inside] = PLACES.index("inside"), True
+    place[open_] = np.where(found <= wanted, PLACES.index("inside"), PLACES.index("undecided"))
+    near[open_[found <= wanted]] = True
     return Places(distance, place, near)
 
 

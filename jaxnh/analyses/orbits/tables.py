@@ -35,6 +35,9 @@ OWN_NAMES = (
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
+_LIKE = "of orbits that starts of this search may lead to; one that none can reach leaves no trace in it"
+_REACHED = "missing: of orbits that the starts of the search may lead to"
+
 
 class LaneOrbits(NamedTuple):
     """Orbits of the lanes of one batch.
@@ -163,9 +166,11 @@ def counts_group(limit: int, parts: Sequence[LaneOrbits], count: int) -> xr.Data
     variables = {
         "n": variable("n", np.arange(1, limit + 1), "number of returns"),
         "number": variable(of_n, number, "number of orbits of n returns that are known"),
-        "missing": variable(of_n, estimates[0], "estimated number of orbits of n returns that are missing"),
-        "missing_low": variable(of_n, estimates[1], f"lower end {words}"),
-        "missing_high": variable(of_n, estimates[2], f"upper end {words}"),
+        "missing": variable(
+            of_n, estimates[0], "estimated number of orbits of n returns that are missing", comment=_LIKE
+        ),
+        "missing_low": variable(of_n, estimates[1], f"lower end {words}", comment=_LIKE),
+        "missing_high": variable(of_n, estimates[2], f"upper end {words}", comment=_LIKE),
         **(
             {"distinct": variable(of_n, apart, "number of these of which none is the image of another")}
             if related
@@ -237,4 +242,6 @@ def counts_table(data: xr.Dataset) -> Table:
         )
         if name in data and data[name].size == 1 and np.isfinite(data[name])
     ]
-    return Table("Periodic orbits", ("returns", "orbits", "missing", "95 %"), tuple(rows), "; ".join(captions) or None)
+    return Table(
+        "Periodic orbits", ("returns", "orbits", "missing", "95 %"), tuple(rows), "; ".join([_REACHED, *captions])
+    )

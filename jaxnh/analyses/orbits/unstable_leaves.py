@@ -26,6 +26,7 @@ _GROWTH = np.log(1e3)  # of a piece from where it is straight to where it reache
 _WIDTH = 0.05  # of a piece, in its distances from the saddle: straight, and wider than the stable manifold bends
 _RETURNS = 1024
 _ALONG = 1e-6  # sine of the angle between tangents from two starts that have turned along the leaves
+_BESIDE = 32  # nearest points: all on one side by chance in one of 2e9, where sides are alike
 _SIDES = 3.0  # pieces as long as so many distances from the saddle may still be straight
 
 
@@ -96,6 +97,31 @@ def leaf_distances(
             u[moving] = image(flat, np.repeat(lane[moving], _POINTS)).reshape(-1, _POINTS, d)
         at = np.where(passing, (at + 1) % n, at)
     return nearest.max(axis=1)
+
+
+def is_beside(
+    period: Period,
+    chart: Chart,
+    motion: Float[np.ndarray, "cycles points d"],
+    points: Float[np.ndarray, "cycles n d"],
+    lane: Int[np.ndarray, " cycles"],
+    size: Float[np.ndarray, "cycles d"],
+) -> Bool[np.ndarray, " cycles"]:
+    """Return which saddle orbits have a motion's nearest points all on one side of their stable manifold.
+
+    Args:
+        period, chart, motion, points, lane, size: as in `leaf_distances`.
+    """
+    cycles, n, d = points.shape
+    across = _left_vectors(np.asarray(period(points.reshape(-1, d), np.repeat(lane, n)).monodromy), points, size)
+    beside = np.zeros(cycles, bool)
+    for c in range(cycles):
+        for point, vector in zip(points[c], across[c], strict=True):
+            away = chart.wrap(motion[c] - point) / size[c]
+            nearest = np.argpartition(np.linalg.norm(away, axis=1), min(_BESIDE, len(away) - 1))[:_BESIDE]
+            side = away[nearest] @ vector
+            beside[c] |= bool(np.all(side > 0.0) or np.all(side < 0.0))
+    return beside
 
 
 def _left_vectors(

@@ -21,6 +21,7 @@ REFINEMENTS = (1, 2, 4)
 """Share of the steps that the accuracy asks for, in maps that a doubling is located with."""
 
 _SAFETY = 8.0
+_ROUNDINGS = 10.0
 _LEAST = 32.0  # 2ᵖ at order 5; methods that are chosen have more
 
 
@@ -29,9 +30,11 @@ class LocatedDoubling(NamedTuple):
 
     Attributes:
         refined: the doubling of each of these maps.
+        roundings: of the value, that its error is at least.
     """
 
     refined: tuple[DoublingPoint, DoublingPoint, DoublingPoint]
+    roundings: float = 0.0
 
     @property
     def point(self) -> DoublingPoint:
@@ -45,11 +48,14 @@ class LocatedDoubling(NamedTuple):
         With steps h, h/2 and h/4 values are off by C hᵖ and so on: the second by little more than it is from the third,
         which is `_SAFETY` times that with what the leading term leaves out. The difference of the first two, the error
         of the first, is 2ᵖ of that; a `_LEAST` part of it is kept where the other two happen to agree. Where the values
-        do not converge as an order has it, the bound is the sum of both differences.
+        do not converge as an order has it, the bound is the sum of both differences. Roundings of the field have one
+        part in common at all nodes, which no misfit shows, and where the three values agree by chance neither do they:
+        by other steps a value is another one by some five of its own roundings.
         """
         first, second, third = (point.value for point in self.refined)
         coarse, fine = abs(second - first), abs(third - second)
-        return min(max(_SAFETY * fine, coarse / _LEAST), coarse + fine) + self.point.error
+        rounding = self.roundings * float(np.spacing(abs(second)))
+        return max(min(max(_SAFETY * fine, coarse / _LEAST), coarse + fine) + self.point.error, rounding)
 
 
 def locate(
@@ -71,7 +77,7 @@ def locate(
     third = second and refine_doubling(finest, second, wrap)
     if first is None or second is None or third is None:
         return None
-    return LocatedDoubling((first, second, third))
+    return LocatedDoubling((first, second, third), _ROUNDINGS)
 
 
 def refined_maps(batch: LaneBatch) -> tuple[Maps, ...]:

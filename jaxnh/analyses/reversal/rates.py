@@ -14,11 +14,12 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.exponents.errors import average_blocks, widen_to_zero
+from jaxnh.analyses.exponents.errors import Average, average_blocks, smooth_parts, widen_by_drift, widen_to_zero
 from jaxnh.analyses.exponents.estimates import SOURCES, exponent_sum, step_error
 from jaxnh.analyses.exponents.tangent_growth import average, begin
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
+from jaxnh.analyses.smooth_window import DEGREE
 from jaxnh.maps.build import backward_parts
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.state import State
@@ -45,7 +46,9 @@ def of_attractor(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, 
     averages = lyapunov.averages(options, batch, lanes, parts)
     spectrum = lyapunov.spectrum(options, batch, lanes, averages, parts)
     mean, error = spectrum.mean.copy(), spectrum.error.copy()
-    total = exponent_sum(batch, averages, spectrum, options.transient // _ALIGNING, options.periods // BLOCKS)
+    total = exponent_sum(
+        batch, averages, spectrum, options.transient, options.transient // _ALIGNING, options.periods // BLOCKS
+    )
     if batch.flow.autonomous:
         moving = spectrum.source != SOURCES.index("equilibrium")
         for values in (mean, error):
@@ -63,15 +66,18 @@ def of_repeller(
     k, lead, p = lyapunov.tangents(options, batch), int(batch.flow.autonomous), dict(batch.p)
     aligning, block = max(options.transient // _ALIGNING, 1), options.periods // BLOCKS
     rates = np.full((batch.count, BLOCKS, lead + k + 2), np.nan)
+    smooth = np.zeros((batch.count, 3 + DEGREE, lead + k + 1))
     with lanes.stage(f"reversal: repellers of {batch.count} lanes", batch.count * (aligning + options.periods)):
         growth = lanes(begin, (batch.system,), (states,), static=(k,))
         growth, _ = average(lanes, strobes, growth, p, aligning)
         for i in range(BLOCKS):
             growth, rates[:, i] = average(lanes, strobes, growth, p, block, i / BLOCKS)
-    mean, error = widen_to_zero(average_blocks(rates[:, :, : lead + k]), aligning, BLOCKS * block)
+            smooth += smooth_parts(growth, block, i)
+    every = widen_by_drift(average_blocks(rates[:, :, :-1]), smooth, rates[:, :, :-1])
+    mean, error = widen_to_zero(Average(*(values[:, : lead + k] for values in every)), aligning, BLOCKS * block)
     if lead:
         mean[:, 0], error[:, 0] = np.where(np.isfinite(mean[:, 0]), 0.0, np.nan), 0.0
-    total, total_error = (values[:, 0] for values in average_blocks(rates[:, :, lead + k : lead + k + 1]))
+    total, total_error = (values[:, lead + k] for values in every)
     error[:, lead:] += step_error(batch)
     return _in_time(batch, mean, error, total, total_error + step_error(batch))
 

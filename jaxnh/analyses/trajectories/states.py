@@ -14,7 +14,7 @@ from jaxnh.analyses.base import Entry, OptionError, Setting, as_variable, variab
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Crossing, Section, System, outputs, plot_plane, reports
-from jaxnh.systems.flow import Parameters
+from jaxnh.systems.flow import STATUS, Parameters
 from jaxnh.systems.mechanical_outputs import describe_output, evaluate_outputs, output_names
 from jaxnh.systems.state import State
 
@@ -136,11 +136,13 @@ def section_attrs(batch: LaneBatch) -> dict[str, str]:
 
 
 def count(data: xr.Dataset) -> dict[str, int]:
-    """Return the number of trajectories, and of those that have failed."""
-    return {"trajectories": data["status"].size, "failed": int(np.count_nonzero(data["status"]))}
+    """Return the number of trajectories, and of those that have failed: in all, and for each reason under its name."""
+    tally = np.bincount(data["status"].to_numpy().ravel().astype(int), minlength=len(STATUS))
+    reasons = {STATUS[code]: int(tally[code]) for code in range(1, len(STATUS)) if tally[code]}
+    return {"trajectories": data["status"].size, "failed": int(tally[1:].sum()), **reasons}
 
 
 def check_transient(transient: int, setting: Setting) -> None:
-    """Check that crossings are not counted from a start state, which is on no section."""
+    """Check that crossings are not counted from a start state, which need not be on the section."""
     if setting.autonomous and not transient:
-        raise OptionError("must be at least 1: the start state is not on the section", "transient")
+        raise OptionError("must be at least 1: crossings are counted from the first after the start", "transient")

@@ -193,7 +193,8 @@ def _without_lost(maps: SampleMaps, samples: Samples, steps: int) -> Samples:
         at = maps.flows[int(first.row)], first.states, first.p
         why = fault_of(*at, first_look(maps, samples).explanation)
         why = why and f"; at {samples.place(0)} {why}"
-        message = f"every lane of this sweep has a non-finite state within a period{why}"
+        lost = "does not come back to its section" if maps.sectioned else "has a non-finite state within a period"
+        message = f"every lane of this sweep {lost}{why}"
         if lost_rank(*at):
             raise AccuracyError(message)
         raise LostLaneError(message)
