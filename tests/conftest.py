@@ -70,9 +70,8 @@ def calibrate_once() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
-def quick_compiling(request: pytest.FixtureRequest) -> Iterator[None]:
-    """For modules whose quick tests run for less time than XLA optimises their programs for: it does little of that.
+def compile_quickly(request: pytest.FixtureRequest) -> Iterator[None]:
+    """For quick tests that run for less time than XLA optimises their programs for: it does little of that.
 
     Slow tests have programs as users have them.
     """
@@ -81,11 +80,22 @@ def quick_compiling(request: pytest.FixtureRequest) -> Iterator[None]:
     jax.config.update("jax_disable_most_optimizations", False)
 
 
+quick_compiling = pytest.fixture(compile_quickly, scope="module", name="quick_compiling")
+quick_compiling_once = pytest.fixture(compile_quickly, name="quick_compiling_once")  # for one test of a module
+
+
 @pytest.fixture(scope="module")
 def uncalibrated(calibrate_once: None) -> Iterator[None]:
     """For modules that look at no error of steps that their configs give: none is measured, by runs in this process."""
     with calibrating_by(unless_given):
         yield
+
+
+@pytest.fixture(scope="module")
+def quickly_uncalibrated(request: pytest.FixtureRequest) -> None:
+    """The same for modules whose slow tests have processes, or look at errors: quick tests alone measure none."""
+    if request.config.getoption("markexpr") == "not slow":
+        request.getfixturevalue("uncalibrated")
 
 
 @pytest.fixture(scope="module")

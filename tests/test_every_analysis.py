@@ -41,6 +41,7 @@ pytestmark = pytest.mark.usefixtures("uncalibrated")
 UNSAID = ("mu", "nu")
 FOLDER = Path(tempfile.mkdtemp(prefix="jaxnh_kinds_"))
 CLOSE = 1e-6  # what so few steps leave of a period's map, ten times
+LONG_STEPS = {"ds": 0.1, "ds_max": 0.25}  # along curves, which are straight or nearly so
 OPTIONS = {
     "portrait": {"transient": 4, "periods": 1, "samples": 4},
     "poincare": {"transient": 4, "strobes": 4},
@@ -51,10 +52,10 @@ OPTIONS = {
     "verdict": {"confirmation_factor": 0},
     "doubling": {"levels": 1},
     "windows": {"max_period": 2, "levels": 1, "crisis": 0, "transient": 64},
-    "branches": {"max_period": 2, "transient": 64},
-    "curves": {"max_period": 2, "transient": 64, "n_values": 1},
+    "branches": {"max_period": 2, "transient": 64, **LONG_STEPS},
+    "curves": {"max_period": 2, "transient": 64, "n_values": 1, **LONG_STEPS},
     "homoclinic": {"box": {"u": (-1.0, 1.0)}},
-    "atlas": {"max_period": 2, "transient": 64, "n_values": 2, "levels": 0},
+    "atlas": {"max_period": 2, "transient": 64, "n_values": 2, "levels": 0, **LONG_STEPS},
     "basins": {"transient": 32, "max_periods": 128, "max_period": 2},
     "reversal": {"transient": 64, "strobes": 64, "periods": 64},
     "orbits": {"max_period": 2, "transient": 64, "rounds": 4, "attractor": 256, "averages": True},
@@ -706,10 +707,12 @@ KINDS = {
         starts_between("x", 1.2, 1.4) | {"manifolds": {"dimension": 2, "box": {"x": (1.2, 1.4)}, "n_starts": 4}},
     ),
     "steps of a lane's own": Kind(
-        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\naccuracy: {solver: rodas5p, steps: 64}",
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {"
+        + MU
+        + "}\naccuracy: {solver: adaptive_tsit5, steps: 64}",
         MOEBIUS
         | dict.fromkeys(
-            ("reversal", "manifolds"), "the flow takes steps of a lane's own (rodas5p), which go forward alone"
+            ("reversal", "manifolds"), "the flow takes steps of a lane's own (adaptive_tsit5), which go forward alone"
         ),
         moebius.MOEBIUS,
     ),
@@ -853,7 +856,16 @@ KINDS = {
             "edges": no_edges(1, "one_attractor"),
         },
         constrained_oscillators.CYCLE,
-        {"branches": {"max_period": 1, "transient": 64, "n_starts": 3, "n_values": 1, "box": {"x_dot": (0.05, 0.4)}}}
+        {
+            "branches": {
+                "max_period": 1,
+                "transient": 64,
+                **LONG_STEPS,
+                "n_starts": 3,
+                "n_values": 1,
+                "box": {"x_dot": (0.05, 0.4)},
+            }
+        }
         | starts_between("x_dot", 0.05, 0.4),
     ),
     "the free particle": Kind(
@@ -1005,7 +1017,7 @@ KINDS = {
 DRAWN = ("a right-hand side with a clock", "two axes", "a start axis")
 """Kinds whose groups are drawn as well, each in the cell of its own analysis, if there is one."""
 
-DEAR = ("basins", "branches", "orbits", "covariant", "transients", "edges")
+DEAR = ("doubling", "windows", "branches", "basins", "orbits", "covariant", "transients", "edges")
 BROTHERS = {
     "steps of a lane's own": ("a right-hand side with a clock",),
     "a right-hand side with jumps on a section": ("a right-hand side with jumps", "a right-hand side on a section"),

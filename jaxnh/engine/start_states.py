@@ -20,6 +20,7 @@ from jaxnh.systems.lagrangian import Lagrangian, Motion
 from jaxnh.systems.level import off_level
 from jaxnh.systems.state import State
 from jaxnh.systems.switched_mechanics import SwitchedMechanics
+from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 
 _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the digits of a config leave
 _ON_LEVEL = 1e-12  # of an integral, in units of its level + 1: a few roundings
@@ -56,7 +57,7 @@ def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: 
         return
     start = flow.start({name: given[name] for name in initial.known})
     if initial.project and flow.constrained:
-        start = jax.vmap(flow.nearest)(start, dict(parameters))
+        start = _nearest_states(flow, start, parameters)
     for name, values in levels.items():
         start, reached = put_on_level(flow, start, parameters, name, values)
         if not np.any(reached):
@@ -72,8 +73,8 @@ def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: 
     sizes = np.where(np.isfinite(residuals), np.abs(residuals), np.inf)
     number, lane = np.unravel_index(np.argmax(sizes), sizes.shape)
     where = join_words([f"{name} = {values[lane]:g}" for name, values in axes.items()])
-    state, p = jax.tree.map(lambda leaf: jnp.asarray(leaf[lane]), (start, parameters))
-    message, keys = _describe_residual(flow, int(number), float(residuals[number, lane]), where, flow.nearest(state, p))
+    near = _lanes_of(_nearest_states(flow, *_lanes_of((start, parameters), np.array([lane]))), 0)
+    message, keys = _describe_residual(flow, int(number), float(residuals[number, lane]), where, near)
     own = [key for key in swept if key.removeprefix("sweep.") in keys]
     raise rule(message, *own, *(f"initial.{key}" for key in (*keys, *flow.names)), *swept, "initial", "system")
 
@@ -98,9 +99,26 @@ def _describe_residual(
 
 def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
     """Residuals of f at start states, (constraints, lanes), and which lanes are off f = 0, (lanes,)."""
-    residuals = np.asarray(jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), out_axes=1)(start, dict(p)))
+    with jax.enable_x64(True):
+        residuals = np.asarray(_residuals(flow, start, dict(p)))
     limit = _LARGEST_RESIDUAL * (1.0 + np.abs(np.stack([np.asarray(v) for v in start.v])).max(axis=0))
     return residuals, ~np.all(np.abs(residuals) <= limit, axis=0)
+
+
+@functools.partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
+def _residuals(flow: Lagrangian, start: Motion, p: Parameters) -> Array:
+    return jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), out_axes=1)(start, p)
+
+
+def _nearest_states(flow: Lagrangian, start: Motion, p: Parameters) -> Motion:
+    """States (lanes,) on the constraints near start states, by one program: its operations one by one are a hundred."""
+    with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
+        return jax.tree.map(np.asarray, _nearest(flow, start, dict(p)))
+
+
+@functools.partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
+def _nearest(flow: Lagrangian, start: Motion, p: Parameters) -> Motion:
+    return jax.vmap(lambda y, p: flow.nearest(y, p))(start, p)
 
 
 def admit_starts(flow: Flow, start: State, p: Parameters, levels: Mapping[str, np.ndarray], *, project: bool) -> State:
@@ -117,7 +135,7 @@ def admit_starts(flow: Flow, start: State, p: Parameters, levels: Mapping[str, n
     if project and flow.constrained:
         _, off = _off_constraint(flow, start, p)
         if np.any(off):
-            start = _replaced(start, off, jax.vmap(flow.nearest)(*_lanes_of((start, dict(p)), off)))
+            start = _replaced(start, off, _nearest_states(flow, *_lanes_of((start, dict(p)), off)))
     reached = np.ones(len(start.q[0]), bool)
     for name, values in levels.items():
         start, reached = put_on_level(flow, start, p, name, np.broadcast_to(values, reached.shape))
@@ -169,7 +187,7 @@ def _integral(flow: Lagrangian, start: Motion, p: Parameters, name: str) -> np.n
     return np.asarray(jax.vmap(lambda y, p: flow.integral(name, 0.0, y, p))(start, dict(p)))
 
 
-def _lanes_of(tree: Any, lanes: np.ndarray) -> Any:
+def _lanes_of(tree: Any, lanes: np.ndarray | int) -> Any:
     return jax.tree.map(lambda leaf: leaf[lanes], tree)
 
 

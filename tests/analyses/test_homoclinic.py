@@ -175,7 +175,7 @@ def from_cycles_alone(*arguments):
 @pytest.mark.usefixtures("uncalibrated")
 def test_a_planar_loop_from_its_cycles(tmp_path):
     """mt = 0 at every a, within the errors, from cycles that a Hopf bifurcation begins; the saddle quantity is 2a."""
-    options = "{box: {x: [0.3, 1.0], y: [-0.3, 0.3]}, n_starts: 8, n_values: 1, cycles: 1, ds_max: 0.1}"
+    options = "{box: {x: [0.3, 1.0], y: [-0.3, 0.3]}, n_starts: 8, n_values: 1, cycles: 1, ds_max: 0.25}"
     sweep = "{mt: {start: -0.01, stop: 0.05, count: 4}, a: {values: [-0.3, -0.25]}}"
     section = "section: {coordinate: x, value: 0.66, direction: up, longest_return: 60}\n"
     data = from_cycles_alone(tmp_path, connections.loop, "{x: 0.6, y: 0.1}", sweep, options, section)

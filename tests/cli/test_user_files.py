@@ -97,6 +97,7 @@ analyses:
 """
 
 
+@pytest.mark.usefixtures("quick_compiling_once")
 @pytest.mark.parametrize(
     ("forces", "spec", "what"),
     [

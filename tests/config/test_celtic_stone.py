@@ -108,6 +108,7 @@ def groups_of(name, *changes):
     return session_of(made).groups(dict.fromkeys(made.analyses.options()))
 
 
+@pytest.mark.usefixtures("uncalibrated")
 @pytest.mark.parametrize(
     ("name", "angle", "energy"), [("celtic_stone", ANGLE, 690.0), ("discrete_lorenz", ANGLE_OF_LORENZ, 752.0)]
 )

@@ -20,7 +20,7 @@ from jaxnh.systems.level import off_level, on_level
 from tests.helpers.cases import some_slow
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("uncalibrated")
+pytestmark = pytest.mark.usefixtures("uncalibrated", "quick_compiling")
 TOP = """\
 from jaxnh.mechanics import quaternion_rates
 

@@ -39,6 +39,7 @@ from tests.helpers.diffrax_solvers import ProjectedSolver
 from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
 from tests.helpers.paths import ROOT
 
+pytestmark = pytest.mark.usefixtures("quickly_uncalibrated")
 PARTICLE = """import jax.numpy as jnp
 
 def system(a=0.5, b=5.5, c=1.0, d=0.0, omega=1.0):
@@ -435,7 +436,7 @@ def test_starts_off_the_constraint_fail_and_no_others(tmp_path):
     ]
 
 
-def test_lanes_that_start_off_the_constraint_fail_and_the_others_go_on(tmp_path, uncalibrated):
+def test_lanes_that_start_off_the_constraint_fail_and_the_others_go_on(tmp_path):
     session = session_of(sleigh(tmp_path, "{theta_dot: 0.1}"))
     session._lanes = lanes_with_kept_programs(None, None, 8, QUICKLY_COMPILED)
     data = session.run("lyapunov")

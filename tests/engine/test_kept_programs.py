@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh import open_result
 from jaxnh.engine.cache import executables
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
@@ -23,7 +22,6 @@ from jaxnh.solvers import SPLITTINGS, tsit5
 from jaxnh.systems.user_file import UserFile
 from tests.flows.particle import SYSTEMS
 from tests.helpers.cases import some_slow
-from tests.helpers.commands import run_process
 from tests.helpers.paths import ROOT
 
 COUNT = 9
@@ -53,12 +51,12 @@ def strobe(steps=40, solver="blanes_moan6"):
     return make_return_map(SYSTEMS["constant"], SPLITTINGS[solver], steps)
 
 
-def begun(folder, *arguments, keep="1"):
-    """A process that runs chaotic lanes, with its programs in a folder."""
+def begun(folder, *arguments, keep="1", code=PROCESS, cwd=None):
+    """A process that runs lanes, chaotic ones unless its code is another, with its programs in a folder."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     environment |= {"JAX_COMPILATION_CACHE_DIR": str(folder), "JAXNH_KEEP_PROGRAMS": keep}
-    command = [sys.executable, "-c", PROCESS, *arguments]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True, cwd=cwd)
 
 
 def bits(process):
@@ -264,27 +262,32 @@ def system(fast=50.0):
 
     return dict(rhs=rhs, coordinates=tuple(f"x{i}" for i in range(9)))
 """
-
-STIFF = """\
-system: {file: rates.py}
-initial: {x0: 0.5}
-sweep: {fast: {values: [50.0]}}
-accuracy: {solver: rodas5p, steps: 8}
-analyses:
-  portrait: {transient: 0, periods: 2, samples: 2}
+STIFF = """
+import pathlib, sys
+import numpy as np
+from jaxnh.engine import xla_options
+from jaxnh.engine.executor import lanes
+from jaxnh.maps.build import make_return_map
+from jaxnh.solvers import SOLVERS
+from jaxnh.systems.user_file import UserFile
+xla_options.configure(2)
+found = "found" in sys.argv
+if found:
+    lanes.jax.vmap = None  # nothing is traced
+lanes.jax.config.update("jax_disable_most_optimizations", True)  # compiled sooner, and with LAPACK all the same
+file = UserFile(pathlib.Path("rates.py"))
+flow = file.flow(file.parameters, ("fast",))
+shared = make_return_map(flow, SOLVERS["rodas5p"], 8), np.int32(1)
+start = flow.start({name: 0.1 * i * np.ones(2) for i, name in enumerate(flow.coordinates)})
+end = lanes.LaneExecutor(devices=lanes.jax.devices()[:1])(lanes.iterate, shared, (start, {"fast": np.array([50.0, 60.0])}))
+print(*(value.hex() for leaf in lanes.jax.tree.leaves(end) for value in leaf.tolist()))
 """
 
 
-def test_functions_of_lapack_are_looked_up_for_a_kept_program(tmp_path, monkeypatch):
+def test_functions_of_lapack_are_looked_up_for_a_kept_program(tmp_path):
     """Matrices of nine coordinates are factorised by LAPACK, which a process that lowers nothing has not looked up."""
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")  # compiled sooner, and with LAPACK all the same
     (tmp_path / "rates.py").write_text(RATES)
-    (tmp_path / "stiff.yaml").write_text(STIFF)
-    for name in ("first.h5", "second.h5"):
-        done = run_process("stiff.yaml", "--output", name, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-    kept = [path.read_bytes() for path in (tmp_path / "cache" / "jaxnh").iterdir()]
+    first, second = (bits(begun(tmp_path, *words, code=STIFF, cwd=tmp_path)) for words in ((), ("found",)))
+    kept = [path.read_bytes() for path in (tmp_path / "jaxnh").iterdir()]
     assert any(b"lapack_dgetrf" in data for data in kept)
-    first, second = (open_result(tmp_path / name)["portrait"] for name in ("first.h5", "second.h5"))
-    assert first.to_dataset().identical(second.to_dataset())
+    assert first == second

@@ -31,6 +31,8 @@ from tests.helpers.jobs import CONFIG, GO_ON, TILES, Job, content, slow_tiles
 from tests.helpers.memory import peak_memory
 from tests.helpers.paths import ROOT
 
+pytestmark = pytest.mark.usefixtures("quickly_uncalibrated")
+
 
 @pytest.fixture
 def job(tmp_path):

@@ -29,6 +29,7 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import SOLVERS
 from jaxnh.storage import tiles
 from jaxnh.storage.hdf5 import read_attrs
+from tests.helpers.cases import some_slow
 from tests.helpers.jobs import content
 from tests.helpers.kept_programs import lanes_with_kept_programs
 
@@ -179,9 +180,7 @@ def errors_of(kind, experiment, plan, lanes, numbers):
 
 
 @pytest.mark.usefixtures("any_size")
-@pytest.mark.parametrize(
-    "kind", ["clock", pytest.param("time", marks=pytest.mark.slow), pytest.param("section", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("kind", some_slow({kind: kind for kind in KINDS}, "clock"))
 def test_a_wide_sweep_takes_the_mean_of_the_steps_within_the_target(kind, lanes):
     """Fast lanes keep the common steps, so that nothing of theirs changes; slow ones take at most a sixteenth of them.
 
@@ -304,7 +303,7 @@ def written(experiment, path, check=lambda: None, **how):
 
 
 @pytest.mark.usefixtures("any_size")
-@pytest.mark.parametrize("kind", ["clock", pytest.param("time", marks=pytest.mark.slow), "section", "two axes"])
+@pytest.mark.parametrize("kind", some_slow({kind: kind for kind in SWEEPS}, "clock", "two axes"))
 def test_files_are_the_same_in_parts_and_resumed(kind, tmp_path):
     """Whatever runs are cut into, each lane keeps its class and its bits."""
     experiment = SWEEPS[kind]()

@@ -127,8 +127,8 @@ def config(folder):
 
 
 @pytest.fixture(scope="module")
-def sites(folder, config):
-    """Addresses of pages by name."""
+def sites(request, folder, config):
+    """Addresses of pages by name; those that compute are slow tests' alone."""
     (folder / "chart.yaml").write_text(CHART)
     (folder / "chart.py").write_text(CHART_MAP)
     (folder / "own.yaml").write_text(MAP_CONFIG)
@@ -147,6 +147,8 @@ def sites(folder, config):
     files = {"config": "page.yaml", "chart": "chart.yaml", "map": "own.yaml", "tiles": "tiles.h5"}
     files |= {name: f"{name}.h5" for name in results}
     files |= {"elsewhere": "cascade.h5"}
+    if request.config.getoption("markexpr") == "not slow":
+        files = {name: file for name, file in files.items() if file.endswith(".h5")}
     over, listening = {"plane": ["branches.h5"]}, dict.fromkeys(("map", "elsewhere"), "127.0.0.2")
     described = {
         name: (
