@@ -47,6 +47,7 @@ def test_a_cycle_that_attracts_by_ten_thousand_a_unit():
     assert np.all(data["exponent_sum_error"] < 1e-3)
 
 
+@pytest.mark.slow
 def test_all_directions_contract_alike():
     """Tangents of equal length shrink below what numbers hold; a flow that contracts little has one part a period."""
     data = exponents_of(forced, [1e3])

@@ -75,6 +75,26 @@ def test_errors_fall_by_the_order(lanes, name):
     assert abs(math.log(coarse / fine, 4.0) - solver.convergence_order) < 1.0
 
 
+# ---- cards
+
+
+def test_a_stiff_map_and_its_tangents_are_lowered_for_cuda():
+    """In float64, with no call of the host and none of a CPU's library."""
+    flow = flow_of(oregonator, ("x", "y", "z"), s=77.27)
+    strobe, state = make_return_map(flow, RODAS, 16), start_of(flow, 1.0, 2.0, 3.0)
+
+    def push(state, p):
+        tangents = (Tangent(jax.tree.map(jnp.ones_like, state), {"s": jnp.float64(1.0)}),)
+        return strobe.pushforward(state, p, tangents)
+
+    batch = jax.tree.map(lambda leaf: jnp.full(8, leaf), (state, {"s": 77.27}))
+    text = jax.jit(jax.vmap(push)).trace(*batch).lower(lowering_platforms=("cuda",)).as_text()
+    assert "callback" not in text
+    assert "custom_call" not in text
+    assert "f64" in text
+    assert "f32" not in text
+
+
 # ---- stiff flows
 
 
