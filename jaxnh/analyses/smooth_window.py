@@ -37,7 +37,7 @@ def moment_weights(at: Any) -> tuple[Any, ...]:
 
 
 def drift_basis(points: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return what makes coefficients of orthonormal polynomials of moments, and the leading ones of powers in them.
+    """Return the matrix from moments to coefficients in orthonormal polynomials, and that of each power in its own.
 
     Polynomials are orthonormal under the window at these points in (0, 1): with L Lᵀ the matrix of the moments of
     2x − 1, coefficients are L⁻¹ times the moments, and the power j has the coefficient L_jj of the polynomial j.

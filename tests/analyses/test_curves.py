@@ -140,7 +140,7 @@ def test_doublings_of_the_particle_over_two_parameters(target):
     [
         ("{equilibria: 4, box: {x: [-1, 1]}}", "a flow with a clock has no equilibria"),
         ("{equilibria: 4}", "needs a box to draw from"),
-        ("{box: {x: [-1, 1]}}", "needs equilibria, their number"),
+        ("{box: {x: [-1, 1]}}", "goes with equilibria, the number of random starts in it"),
         ("{max_period: 0}", "give equilibria"),
     ],
 )
