@@ -34,7 +34,7 @@ BAD = {
     "free with d": (["system={constraint: free, d: 0.1}"], "system", "d does not go with free"),
     "section with a clock": (["system.without=[damping]", "section={value: 1.0}"], "section", "this scene has a clock"),
     "section elsewhere": (["section.coordinate=z"], "section.coordinate", "must be 'x1' or 'y1'"),
-    "no transient": (["analyses.poincare.transient=0"], "analyses.poincare.transient", "must be at least 1: the start"),
+    "no transient": (["analyses.poincare.transient=0"], "analyses.poincare.transient", "must be at least 1: crossings are counted from the first after the start"),
     "phase": (["analyses.diagram.phase=0.5"], "analyses.diagram.phase", "there is no period to have a phase in"),
     "processed": (["accuracy={solver: processed6, steps: 40}"], "accuracy", "steps end one by one at crossings"),
     "float32": (["accuracy={target: 1e-3, precision: float32}"], "accuracy", "float32 goes with a strobe"),

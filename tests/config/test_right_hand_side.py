@@ -102,7 +102,7 @@ FAULTS = {
         ("lyapunov: {transient: 16, periods: 256, exponents: 3}", "diagram: {}"),
         "6: analyses.diagram: the system has no period, and diagram looks at it on a section: give one, as section: {coordinate: x,",
     ),
-    "no such coordinate": (("y: -1.0", "w: -1.0"), None, "4: section.normal.w: unknown key; known keys are x, y, z"),
+    "no such coordinate": (("y: -1.0", "w: -1.0"), None, "4: section.normal.w: there is no coordinate w; known are x, y, z"),
     "both": (("normal: {", "coordinate: x, normal: {"), None, "4: section.coordinate: a section is by a coordinate or by"),
     "no normal": (("{x: 1.0, y: -1.0}", "{x: 0.0}"), None, "4: section.normal: a normal has a length"),
     "no returns": (("direction: up", "longest_return: 0"), None, "4: section.longest_return: "),

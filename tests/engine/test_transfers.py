@@ -9,12 +9,14 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.options.base import BLOCKS
+from jaxnh.analyses.smooth_window import DEGREE
 from jaxnh.engine.executor.grouped_blocks import evaluate_block
 from tests.helpers.experiments import content
 from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
 
 pytestmark = pytest.mark.usefixtures("uncalibrated")
-POINT, STATE, TANGENT, SUMS = 3, 4, 3, 7  # numbers of a lane; of sums: growth and volume, each three times, divergence
+POINT, STATE, TANGENT = 3, 4, 3  # numbers of a lane
+SUMS = 2 * (DEGREE + 3) + 1  # growth and volume, plain, under the windows of moments and of a half; and divergence
 ANALYSES = {
     "lyapunov": {"transient": 64, "periods": 32, "exponents": 1},
     "period": {"transient": 64, "max_period": 16},

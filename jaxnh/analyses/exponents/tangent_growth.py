@@ -235,11 +235,11 @@ def advance(
             tangents, grown = gram_schmidt(moved, singular)
         logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
         largest = jnp.maximum(grown[0], grown[1]) if flow.autonomous else grown[0]
-        shrunk = largest - grown[-1]
+        shrunk, far = largest - grown[-1], jnp.maximum(jnp.abs(largest), jnp.abs(grown[-1]))
         if flow.loses_rank:  # what has vanished needs no digits
             shrunk = jnp.max(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, largest - g) for g in grown]))
-        far = _AS_LOSS * jnp.max(jnp.abs(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, g) for g in (largest, grown[-1])])))
-        loss = jnp.maximum(growth.loss, jnp.maximum(shrunk, far))
+            far = jnp.max(jnp.abs(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, g) for g in (largest, grown[-1])])))
+        loss = jnp.maximum(growth.loss, jnp.maximum(shrunk, _AS_LOSS * far))
         volume = growth.volume + pushed.log_volume if wanted else growth.volume
         return growth._replace(state=pushed.state, tangents=tangents, logs=logs, volume=volume, loss=loss), None
 
