@@ -154,6 +154,16 @@ def test_no_drift_where_there_is_none():
     np.testing.assert_array_equal(widen_by_drift(plain, smooth_of(noise), blocks).error, plain.error)
 
 
+def test_a_drift_along_a_family_of_orbits():
+    """A rise that steps account for is the error of the mean; one beyond them has no end in the run."""
+    growth = -1.2 + 1e-5 * np.arange(4096)[None] / 4096
+    parts = smooth_of(growth)
+    alone = average_windows(parts, 512, 4096)
+    assert alone.error < 1e-5
+    assert float(widen_by_drift(alone, parts, steps=2e-5).error[0, 0]) == pytest.approx(1e-5, rel=1e-3)
+    assert np.isinf(widen_by_drift(alone, parts, steps=5e-6).error)
+
+
 def test_a_drift_of_chaos_beyond_its_scatter():
     """A mean that rises by eighty times the noise of a block over the run has no bar; one that rises by a hundredth has its own."""
     noise = np.random.default_rng(10).normal(size=(50, PERIODS)) * 0.01

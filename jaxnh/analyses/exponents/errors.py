@@ -116,6 +116,7 @@ def widen_by_drift(
     average: Average,
     parts: Float[np.ndarray, "lanes parts sums"],
     rates: Float[np.ndarray, "lanes blocks sums"] | None = None,
+    steps: float = 0.0,
 ) -> Average:
     """Enlarge the errors of means that drift to what the drift may still come to.
 
@@ -127,11 +128,14 @@ def widen_by_drift(
     that is linear in the amplitude of a motion at the onset of its attractor, and four are allowed for. A fall that
     begins fast, as t^−p soon after t = 0, is a sum of exponentials: its coefficients alternate in sign and fall with
     the degree, as of what scatters they do in 1 of 1,920 lanes; then all of them belong to the drift. Where a drift
-    does not slow down, beyond what scatters, there is no end of it in the window, and the error is infinite.
+    does not slow down, beyond what scatters, there is no end of it in the window, and the error is infinite. Where
+    orbits fill a family, as on levels of an integral, steps move a motion along it, as far as their errors add up to:
+    of a mean that changes by no more of itself than that, this change is the error.
 
     Args:
         parts: as of `smooth_parts`, over the whole run.
         rates: of blocks, where the means are plain averages.
+        steps: errors of all steps of the run, in sizes of the motion.
     """
     parts = np.where(np.isfinite(parts), parts, 0.0)
     leading = drift_basis((np.arange(4096) + 0.5) / 4096)[1]
@@ -146,7 +150,10 @@ def widen_by_drift(
     slows = -np.sign(slope) * bend - student(freedom + 1) * noise
     with np.errstate(divide="ignore", invalid="ignore"):
         left = _POWER_LAW * (slope / leading[1]) ** 2 / (2.0 * np.maximum(slows, 0.0) / leading[2])
-        drifts = np.abs(slope) > np.maximum(least * noise, _STEADY * np.maximum(np.abs(average.mean), 1.0))
+        size = np.maximum(np.abs(average.mean), 1.0)
+        moved = 2.0 * np.abs(slope) / leading[1]
+        left = np.where(moved > steps * size, left, moved)
+        drifts = np.abs(slope) > np.maximum(least * noise, _STEADY * size)
     return average._replace(error=np.where(drifts, np.maximum(average.error, left), average.error))
 
 

@@ -60,15 +60,18 @@ def step_error(batch: LaneBatch) -> float:
     return _TANGENT_ERRORS * batch.error_estimate
 
 
-def widen_plain_by_drift(average: Average, averages: Averages, chosen: np.ndarray, sums: slice) -> Average:
+def widen_plain_by_drift(
+    average: Average, averages: Averages, chosen: np.ndarray, sums: slice, steps: float
+) -> Average:
     """Enlarge the errors of plain averages of chosen lanes to what a drift beyond their scatter may still come to.
 
     Of lanes that stopped early no drift is known.
 
     Args:
         sums: those of the rates that the averages are of.
+        steps: as of `widen_by_drift`.
     """
-    return widen_by_drift(average, averages.smooth[chosen][:, :, sums], averages.rates[chosen][:, :, sums])
+    return widen_by_drift(average, averages.smooth[chosen][:, :, sums], averages.rates[chosen][:, :, sums], steps)
 
 
 def exponent_sum(
@@ -84,17 +87,18 @@ def exponent_sum(
     """
     k = spectrum.mean.shape[1]
     total, error = spectrum.mean.sum(axis=1), spectrum.error.sum(axis=1)
+    steps = batch.error_estimate * block * averages.rates.shape[1]
     average, smooth = (spectrum.source == SOURCES.index(name) for name in ("average", "smooth_average"))
     for blocks in np.unique(averages.blocks[average]):
         chosen = average & (averages.blocks == blocks)
         plain = average_blocks(averages.rates[chosen, :blocks, k : k + 1])
-        plain = widen_plain_by_drift(plain, averages, chosen, np.s_[k : k + 1])
+        plain = widen_plain_by_drift(plain, averages, chosen, np.s_[k : k + 1], steps)
         plain = widen_unsettled(plain, averages.rates[chosen, :blocks, k : k + 1], transient + blocks * block)
         total[chosen], error[chosen] = plain.mean[:, 0], plain.error[:, 0]
     if np.any(smooth):
         length = block * averages.rates.shape[1]
         parts = averages.smooth[smooth, :, k : k + 1]
-        windows = widen_by_drift(average_windows(parts, aligned, length), parts)
+        windows = widen_by_drift(average_windows(parts, aligned, length), parts, steps=steps)
         windows = widen_unsettled(windows, averages.rates[smooth, :, k : k + 1], transient + length)
         total[smooth], error[smooth] = windows.mean[:, 0], windows.error[:, 0]
     return Average(total, error + step_error(batch))

@@ -206,7 +206,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         plain = average_blocks(averages.rates[chosen, :blocks, : lead + k])
         mean[chosen], error[chosen] = widen_to_zero(plain, aligned, blocks * block)
     source, vanished = np.zeros(batch.count, np.int8), np.isneginf(mean)
-    drift = widen_plain_by_drift(Average(mean, error), averages, np.arange(batch.count), np.s_[: lead + k])
+    steps = batch.error_estimate * block * BLOCKS
+    drift = widen_plain_by_drift(Average(mean, error), averages, np.arange(batch.count), np.s_[: lead + k], steps)
     if options.method == "averages":
         return Spectrum(mean, drift.error, source)
     number, ran = np.arange(BLOCKS), averages.blocks
@@ -222,7 +223,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     better = smooth.error[:, lead] < error[whole, lead]
     regular = whole[better]
     source[regular] = SOURCES.index("smooth_average")
-    smooth, error = widen_by_drift(smooth, windows), drift.error
+    smooth, error = widen_by_drift(smooth, windows, steps=steps), drift.error
     mean[regular] = smooth.mean[better]
     error[regular] = smooth.error[better] + _step_error(batch, lanes, select(averages.growth, regular), regular, parts)
     plain = whole[~better]

@@ -73,7 +73,8 @@ def of_repeller(
         for i in range(BLOCKS):
             growth, rates[:, i] = average(lanes, strobes, growth, p, block, i / BLOCKS)
             smooth += smooth_parts(growth, block, i)
-    every = widen_by_drift(average_blocks(rates[:, :, :-1]), smooth, rates[:, :, :-1])
+    steps = batch.error_estimate * block * BLOCKS
+    every = widen_by_drift(average_blocks(rates[:, :, :-1]), smooth, rates[:, :, :-1], steps)
     mean, error = widen_to_zero(Average(*(values[:, : lead + k] for values in every)), aligning, BLOCKS * block)
     if lead:
         mean[:, 0], error[:, 0] = np.where(np.isfinite(mean[:, 0]), 0.0, np.nan), 0.0
