@@ -154,7 +154,10 @@ def test_the_particle_over_b_and_d():
     ("analyses", "message"),
     [
         ([f"atlas: {OPTIONS}", "curves: {}"], "atlas makes the group curves itself; leave it out"),
-        ([f"atlas: {OPTIONS.replace('equilibria: 4, ', '')}"], "goes with equilibria, the number of random starts in it"),
+        (
+            [f"atlas: {OPTIONS.replace('equilibria: 4, ', '')}"],
+            "goes with equilibria, the number of random starts in it",
+        ),
         ([f"atlas: {OPTIONS.replace('u: [', 'q: [')}"], "no coordinate q"),
     ],
 )
