@@ -22,10 +22,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.base import LANE, Analysis, Entry, OptionError, Setting, as_variable, flag, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs, select
+from jaxnh.analyses.base import Analysis, OptionError, Setting
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
-from jaxnh.analyses.exponents.dimension import kaplan_yorke
 from jaxnh.analyses.exponents.errors import (
     Average,
     average_blocks,
@@ -34,7 +33,6 @@ from jaxnh.analyses.exponents.errors import (
     smooth_parts,
     unseen_bursts,
     widen_by_drift,
-    widen_to_sum_rule,
     widen_to_zero,
 )
 from jaxnh.analyses.exponents.estimates import (
@@ -47,6 +45,7 @@ from jaxnh.analyses.exponents.estimates import (
 )
 from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
 from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refinement_needed
+from jaxnh.analyses.exponents.tables import dataset
 from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
     advance,
@@ -61,23 +60,11 @@ from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.smooth_window import DEGREE
-from jaxnh.maps.section import reports
-from jaxnh.systems.flow import NOT_FINITE, status
 from jaxnh.systems.state import is_finite
 
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
-_AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
-_SLOWS = -1.0  # of the same, where it falls in each block: the motion comes to rest slowly
 _COMPARED = 16  # periods in which a smooth average is held against one with twice the steps
 _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
-_COMMENT = (
-    "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
-    "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
-    "the whole, and twice what twice the steps change; of both, up to zero where a finite window leaves that open, as "
-    "much as a drift that slows down may still come to, infinite where one does not slow down, and at least the "
-    "residual of the sum rule where that contradicts them; of an orbit: twice what twice the steps change in its "
-    "multipliers; of an equilibrium: twice what a last step of Newton changes in its eigenvalues, and what rounding may"
-)
 
 
 def periods(options: LyapunovOptions, lanes: int) -> float:
@@ -119,8 +106,12 @@ def run(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     parts, refinement = chosen["parts"], chosen.get("refinement", 1)
     batch = replace(batch, steps=refinement * batch.steps)
     blocks = averages(options, batch, lanes, parts)
-    area = area_growth(batch, lanes, blocks) if every_exponent(options, batch) else np.zeros(batch.count)
-    data = _dataset(options, batch, blocks, spectrum(options, batch, lanes, blocks, parts), parts, area)
+    exponents, area, total = spectrum(options, batch, lanes, blocks, parts), np.zeros(batch.count), None
+    if every_exponent(options, batch):
+        aligned, block = options.transient // _ALIGNING, options.periods // BLOCKS
+        area = area_growth(batch, lanes, blocks)
+        total = exponent_sum(batch, blocks, exponents, options.transient, aligned, block)
+    data = dataset(options, batch, blocks, exponents, total, area).assign_attrs(orthonormalisations_per_period=parts)
     return data if refinement == 1 else data.assign_attrs(refinement_for_tangents=refinement)
 
 
@@ -279,101 +270,6 @@ def every_exponent(options: LyapunovOptions, batch: LaneBatch) -> bool:
 def tangents(options: LyapunovOptions, batch: LaneBatch) -> int:
     """Return how many tangents are carried: one for each exponent that is wanted and not known."""
     return min(options.exponents, batch.flow.exponents - int(batch.flow.autonomous))
-
-
-def _dataset(
-    options: LyapunovOptions, batch: LaneBatch, averages: Averages, spectrum: Spectrum, parts: int, area: np.ndarray
-) -> xr.Dataset:
-    """Return all variables; for an autonomous flow the first sum is that along the flow.
-
-    Args:
-        area: ln of the growth of area over that of volume, as in `area_growth`, (lanes,).
-    """
-    period, k = batch.flow.period, spectrum.mean.shape[1]
-    wanted = min(options.exponents, k)
-    mean, error = spectrum.mean / period, spectrum.error / period
-    averaged = averages.blocks * (options.periods // BLOCKS)
-    symbols, residual = batch.flow.contraction, None
-    volume, sums = _volume_and_sums(averages, k, period)
-    if every_exponent(options, batch):
-        # At rest the flow has no direction once its rate has come down to rounding.
-        sums = np.where(spectrum.source == SOURCES.index("equilibrium"), mean.sum(axis=1), sums)
-        with np.errstate(invalid="ignore"):  # both are minus infinity where a map has a multiplier zero
-            residual = sums - volume[:, 1 if symbols else 0] - area / averaged / period
-        of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
-        error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
-    attrs: dict[str, Any] = {"orthonormalisations_per_period": parts}
-    if batch.flow.autonomous:
-        decline, falls = spectrum.mean[:, 0] * averaged, ~np.any(averages.rates[:, :, 0] >= 0.0, axis=1)
-        rests = (decline < _AT_REST) | (falls & (decline < _SLOWS)) | (spectrum.source == SOURCES.index("equilibrium"))
-        lost = ~(spectrum.mean[:, 0] < np.inf)
-        for values in (mean, error):
-            values[:, 0] = np.where(lost, np.nan, np.where(rests, values[:, 0], 0.0))
-        attrs["along_flow"] = "the exponent along the flow is known to be zero"
-    order = np.argsort(-mean, axis=1)[:, :wanted]
-    exponents, errors = np.take_along_axis(mean, order, axis=1), np.take_along_axis(error, order, axis=1)
-    each, rate = (LANE, "exponent"), rate_attrs(batch.flow)
-    words = "Lyapunov exponents, natural logarithm"
-    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
-    known = [SOURCES.index(source) for source in ("equilibrium", "orbit")]
-    lost = ~np.all(exponents < np.inf, axis=1) & ~np.isin(spectrum.source, known)
-    code = np.where(lost & (np.asarray(ended.data) == 0), NOT_FINITE, ended.data)
-    variables = {
-        "exponent": variable("exponent", np.arange(1, wanted + 1), "number of the exponent, largest first"),
-        "exponents": variable(each, exponents, words, **rate, ancillary_variables="exponents_error exponents_method"),
-        "exponents_error": variable(each, errors, "error of the exponents at 95 %", **rate, comment=_COMMENT),
-        "exponents_method": flag(LANE, spectrum.source, "what the exponents of a lane are", SOURCES),
-        "status": as_variable(LANE, status(code)),
-    }
-    divergence = ""
-    if symbols:
-        divergence = f" −{symbols}"
-        words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
-        variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, **rate)
-    variables["averaging_periods"] = variable(
-        LANE, averaged, "length of the average", counted_in=iterate_units(batch.system)
-    )
-    if residual is not None:
-        variables["sum_rule_residual"] = variable(LANE, residual, _sum_rule_in_words(batch, divergence), **rate)
-        if divergence:
-            words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
-            variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
-        total = exponent_sum(
-            batch, averages, spectrum, options.transient, options.transient // _ALIGNING, options.periods // BLOCKS
-        )
-        variables |= _sum_and_dimension(batch, total, exponents)
-    return xr.Dataset(variables, attrs=attrs)
-
-
-def _volume_and_sums(
-    averages: Averages, k: int, period: float
-) -> tuple[Float[np.ndarray, "lanes 2"], Float[np.ndarray, " lanes"]]:
-    """Return growth of volume, also by quadrature, and the sum of k growths, of plain averages a unit of time."""
-    ran = (np.arange(BLOCKS) < averages.blocks[:, None])[:, :, None]
-    volume = np.sum(np.where(ran, averages.rates[:, :, k:], 0.0), axis=1) / averages.blocks[:, None] / period
-    return volume, np.sum(np.where(ran, averages.rates[:, :, :k], 0.0), axis=(1, 2)) / averages.blocks / period
-
-
-def _sum_and_dimension(
-    batch: LaneBatch, total: Average, exponents: Float[np.ndarray, "lanes exponents"]
-) -> dict[str, Entry]:
-    """Return what follows from all exponents: their sum a period, as one a unit of time, and the dimension."""
-    rate, period = rate_attrs(batch.flow), batch.flow.period
-    words = "sum of all exponents, of averages by the growth of volume"
-    # Without a clock the exponent along the flow counts as well.
-    of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
-    source = "of the flow" if batch.flow.autonomous else of_strobes
-    return {
-        "exponent_sum": variable(LANE, total.mean / period, words, **rate),
-        "exponent_sum_error": variable(LANE, total.error / period, "error of the sum at 95 %", **rate),
-        "kaplan_yorke": variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {source}"),
-    }
-
-
-def _sum_rule_in_words(batch: LaneBatch, divergence: str) -> str:
-    other = f"mean divergence{divergence}, integrated by itself"
-    other = other if batch.flow.continuous else "mean of ln |det| of the derivative"
-    return f"sum of the plain averages, at rest of the exponents, minus the {other}"
 
 
 def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
