@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Mapping
 
 from jaxnh.engine.experiment import Experiment
+from jaxnh.engine.failures import count_warnings
 from jaxnh.engine.levels.levels import axes_of
-from jaxnh.engine.plan import clock_of, count_warnings
+from jaxnh.engine.plan import clock_of
 from jaxnh.jobs.attributes import UserFileText, root_attributes
 from jaxnh.jobs.cutting import Cutting
 from jaxnh.jobs.job import Job

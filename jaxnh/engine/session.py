@@ -23,11 +23,11 @@ from jaxnh.engine.batches import Requested, batches
 from jaxnh.engine.compute import compute, seconds_spent
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
+from jaxnh.engine.failures import count_warnings
 from jaxnh.engine.from_python import System, experiment_of
 from jaxnh.engine.levels.levels import Level, axes_of, level_of
 from jaxnh.engine.plan import (
     choose,
-    count_warnings,
     find_or_keep_plan,
     find_plan,
     in_quickest_form,

@@ -10,7 +10,7 @@ from jaxnh.analyses.base import LANE
 from jaxnh.analyses.trajectories import poincare
 from jaxnh.analyses.trajectories.poincare import PoincareOptions, run
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.engine.plan import count_warnings
+from jaxnh.engine.failures import count_warnings
 from jaxnh.maps.kicks import KickStrobe
 from jaxnh.solvers import SPLITTINGS
 from tests.flows.particle import SYSTEMS, twin
