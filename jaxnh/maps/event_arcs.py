@@ -74,8 +74,8 @@ def event_sequence(strobe: JumpingStrobe, u: Float[Array, " d"], p: Parameters, 
 
         def written(kept: Array, new: Any, place: Array) -> Array:
             # A choice and no scatter, which XLA cannot compile here for two walls ("number of dimensions of this map").
-            here = passes & (jnp.arange(len(kept), dtype=jnp.int32) == place)
-            return jnp.where(here.reshape(-1, *[1] * (kept.ndim - 1)), new, kept)
+            written_now = passes & (jnp.arange(len(kept), dtype=jnp.int32) == place)
+            return jnp.where(written_now.reshape(-1, *[1] * (kept.ndim - 1)), new, kept)
 
         return march, EventSequence(
             jnp.where(passes, k + 1, k),
@@ -109,7 +109,7 @@ def arc_end(
     solver: WrittenOutRungeKutta,
     steps: ArrayLike,
     period: ArrayLike,
-    begun: Float[Array, " more"],
+    start: Float[Array, " more"],
     length: ArrayLike,
     side: Float[Array, " k"],
     event: Int[Array, ""],
@@ -123,7 +123,7 @@ def arc_end(
         flow: a flow with a clock, that walls and surfaces do not hold.
         solver, steps: with so many of its steps.
         period: of the clock.
-        begun: coordinates and time at the beginning, (d + 1,).
+        start: coordinates and time at the beginning, (d + 1,).
         length: of time.
         side: of walls and surfaces, by which the field is chosen.
         event: the number of the wall or surface that is met; k more where it is touched; 2k where the period ends.
@@ -133,10 +133,10 @@ def arc_end(
     """
     count, sides = side.shape[0], tuple(side)
 
-    def end(begun: Array, length: Array, values: Array) -> ArcEnd:
+    def end(start: Array, length: Array, values: Array) -> ArcEnd:
         own = own_parameters(flow, {**p, **{name: values[k] for k, name in enumerate(names)}})
-        y = _moved(flow, solver, steps, begun, length, sides, own)
-        t = begun[-1] + length
+        y = _moved(flow, solver, steps, start, length, sides, own)
+        t = start[-1] + length
         state = PiecewisePoint(y, jnp.zeros_like(t))
         height, rate = _heights_and_rates(flow, t, state, sides, own)
         after, over = jnp.stack(y), event == 2 * count
@@ -147,10 +147,10 @@ def arc_end(
         after = jnp.append(after, jnp.where(over, 0.0, t))
         return ArcEnd(after, missing, height[event % count])
 
-    length = jnp.asarray(length, begun.dtype)
-    slopes: Any = jax.jacfwd(end, (0, 1, 2))(begun, length, values)
-    by_begun, by_length, by_values = (ArcEnd(*(leaf[k] for leaf in slopes)) for k in range(3))
-    return end(begun, length, values), by_begun, by_length, by_values
+    length = jnp.asarray(length, start.dtype)
+    slopes: Any = jax.jacfwd(end, (0, 1, 2))(start, length, values)
+    by_start, by_length, by_values = (ArcEnd(*(leaf[k] for leaf in slopes)) for k in range(3))
+    return end(start, length, values), by_start, by_length, by_values
 
 
 class ArcSamples(NamedTuple):
@@ -170,7 +170,7 @@ def arc_samples(
     flow: PiecewiseSmooth,
     solver: WrittenOutRungeKutta,
     steps: ArrayLike,
-    begun: Float[Array, " more"],
+    start: Float[Array, " more"],
     length: ArrayLike,
     side: Float[Array, " k"],
     p: Parameters,
@@ -183,26 +183,26 @@ def arc_samples(
         height, rate = _heights_and_rates(flow, t, PiecewisePoint(y, jnp.zeros_like(t)), sides, own)
         return jnp.append(jnp.stack(y), t), ArcSamples(jnp.stack(y), height, rate)
 
-    return lax.scan(advance, begun, None, SAMPLES)[1]
+    return lax.scan(advance, start, None, SAMPLES)[1]
 
 
 def _moved(
     flow: PiecewiseSmooth,
     solver: WrittenOutRungeKutta,
     steps: ArrayLike,
-    begun: Array,
+    start: Array,
     length: ArrayLike,
     sides: tuple[Array, ...],
     own: Parameters,
 ) -> tuple[Array, ...]:
     """Coordinates after equal steps on one branch of the field."""
-    h, c = length / jnp.asarray(steps, begun.dtype), jnp.asarray(solver.c)
+    h, c = length / jnp.asarray(steps, start.dtype), jnp.asarray(solver.c)
 
     def step(i: Array, y: PiecewisePoint) -> PiecewisePoint:
-        t = begun[-1] + jnp.asarray(i, begun.dtype) * h
+        t = start[-1] + jnp.asarray(i, start.dtype) * h
         return solver.carried_stages(lambda s, z: flow.branch(t + c[s] * h, z, own, sides), h, y)
 
-    first = PiecewisePoint(tuple(begun[:-1]), jnp.zeros_like(begun[0]))
+    first = PiecewisePoint(tuple(start[:-1]), jnp.zeros_like(start[0]))
     return lax.fori_loop(0, steps, step, first).y
 
 

@@ -10,18 +10,7 @@ import numpy as np
 import pytest
 
 import jaxnh
-
-
-def henon(a=1.4, b=0.3):
-    def image(s):
-        x, y = s
-        return 1.0 - a * x**2 + y, b * x
-
-    def inverse(s):
-        x, y = s
-        return y / b, x - 1.0 + a * (y / b) ** 2
-
-    return {"map": image, "inverse": inverse, "coordinates": ("x", "y")}
+from tests.flows.known_maps import henon
 
 
 def session():

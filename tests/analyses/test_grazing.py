@@ -126,7 +126,7 @@ def test_an_orbit_that_touches_the_wall(quick_lanes):
     near = touching(without, np.array([[FORCED, 0.01, 0.0]]), np.array([period]), 0, 0.48, np.array([0.14, 0.1]), 0)
     orbit = grazing_orbit(problem, *near, np.array([0.16]))
     assert abs(orbit.values[0] + FORCED) < 1e-13  # of a method of order eight with 40 steps
-    assert orbit.begun == pytest.approx(np.array([[FORCED, 0.0, 0.0], [-FORCED, 0.0, 0.5 * period]]), abs=1e-12)
+    assert orbit.start == pytest.approx(np.array([[FORCED, 0.0, 0.0], [-FORCED, 0.0, 0.5 * period]]), abs=1e-12)
     assert np.sort_complex(orbit.multipliers) == pytest.approx(np.exp([-1j * period, 1j * period]), abs=1e-12)
     assert [one.points.tolist() for one in orbit.turned()] == [orbit.points.tolist()]
 
@@ -135,10 +135,10 @@ def test_an_orbit_that_touches_the_wall(quick_lanes):
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_branch_ends_where_its_orbit_touches_the_wall(lanes, side):
     """The same, found where Newton by shooting no longer converges; from above, where the orbit touches at the strobe."""
-    batch, begun = oscillators(), [SeedOrbit(np.array([[FORCED, 0.0]]), -side * 0.2)]
+    batch, start = oscillators(), [SeedOrbit(np.array([[FORCED, 0.0]]), -side * 0.2)]
     families = [orbit_family(batch, lanes, strobe, np.ones(2), (-0.3, 0.3)) for strobe in refined_maps(batch)]
     assert may_graze(batch)
-    tree = with_grazing(batch, lanes, families[0], grow(families, [begun], 1, StepControl(0.25)), np.ones(2))
+    tree = with_grazing(batch, lanes, families[0], grow(families, [start], 1, StepControl(0.25)), np.ones(2))
     [branch], [point] = tree.branches, tree.bifurcations
     assert set(branch.ends) == {GRAZES, RANGE}
     assert (point.kind, point.branch) == (GRAZING, 0)

@@ -11,6 +11,7 @@ from scipy.optimize import fsolve
 import jaxnh
 from jaxnh.analyses.orbits.search import newton
 from jaxnh.exceptions import InputError
+from tests.flows.known_maps import henon
 
 pytestmark = pytest.mark.usefixtures("one_core")
 GOLDEN = 0.5 * (1.0 + np.sqrt(5.0))
@@ -30,18 +31,6 @@ def cat(repetition=0.0):
         return jnp.stack([x - z, 2.0 * z - x]) % (2.0 * jnp.pi)
 
     return {"map": image, "inverse": inverse, "coordinates": ("x", "z"), "angles": ("x", "z")}
-
-
-def henon(a=1.4, b=0.3):
-    def image(s):
-        x, y = s
-        return 1.0 - a * x**2 + y, b * x
-
-    def inverse(s):
-        x, y = s
-        return y / b, x - 1.0 + a * (y / b) ** 2
-
-    return {"map": image, "inverse": inverse, "coordinates": ("x", "y")}
 
 
 def duffing(F=0.0075, d=0.01, w=1.0):

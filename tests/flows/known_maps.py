@@ -92,4 +92,8 @@ def henon(a=1.4, b=0.3):
         x, y = s
         return 1.0 - a * x**2 + y, b * x
 
-    return {"map": image, "coordinates": ("x", "y")}
+    def inverse(s):
+        x, y = s
+        return y / b, x - 1.0 + a * (y / b) ** 2
+
+    return {"map": image, "inverse": inverse, "coordinates": ("x", "y")}

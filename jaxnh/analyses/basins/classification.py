@@ -138,12 +138,8 @@ def classify(
         left = left[~on_orbit]
     near, margin = np.full((2, count), _NEAR_ORBIT)
     points = record_points(batch_from_points(batch, lanes, u), lanes, POINTS)
-    steps, cloud = np.zeros_like(points), np.empty(0)
-    if len(left):
-        cloud = record_points(moved_on.take(left), lanes, _CLOUD)
-        stays_finite = np.all(np.isfinite(cloud), axis=(1, 2))
-        points[left[~stays_finite]] = np.nan
-        left, cloud = left[stays_finite], cloud[stays_finite]
+    left, cloud = _clouds(moved_on, lanes, left, points)
+    steps = np.zeros_like(points)
     if len(left):
         looked = LONGER * (records.time // 2)[left]
         kind[left], exponent[left] = _classify_recurrent(
@@ -160,6 +156,18 @@ def classify(
         kind[subset[_leave_sets(moved_on.take(subset), lanes, u[subset], sets)]] = NONE
     means = np.asarray(window.whole)
     return Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
+
+
+def _clouds(
+    batch: LaneBatch, lanes: LaneRunner, left: Int[np.ndarray, " left"], points: Float[np.ndarray, "reps points d"]
+) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, "some cloud d"]]:
+    """Return lanes that stay finite, and many points of each; points of the others become NaN, in place."""
+    if not len(left):
+        return left, np.empty((0, _CLOUD, points.shape[2]))
+    cloud = record_points(batch.take(left), lanes, _CLOUD)
+    finite = np.all(np.isfinite(cloud), axis=(1, 2))
+    points[left[~finite]] = np.nan
+    return left[finite], cloud[finite]
 
 
 def _average_confirming_window(

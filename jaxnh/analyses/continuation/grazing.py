@@ -47,7 +47,7 @@ REFINEMENTS = (1, 2, 4)
 class Arcs(NamedTuple):
     """The arcs of an orbit, without one that touches: beginnings, lengths, events and sides (`ArcSequence`)."""
 
-    begun: Float[np.ndarray, "m more"]
+    start: Float[np.ndarray, "m more"]
     length: Float[np.ndarray, " m"]
     sequence: ArcSequence
 
@@ -72,7 +72,7 @@ class _TouchGuess(NamedTuple):
 
     away: float
     sequence: ArcSequence
-    begun: Float[np.ndarray, "m more"]
+    start: Float[np.ndarray, "m more"]
     length: Float[np.ndarray, " m"]
 
 
@@ -102,8 +102,8 @@ class Grazing(NamedTuple):
     @property
     def bifurcation(self) -> Bifurcation:
         """The orbit as a bifurcation, the error from step refinement and rounding."""
-        (first, second, third), middle = (float(one.values[0]) for one in self.orbits), self.orbits[1]
-        rounding = max(float(one.rounding[0]) for one in self.orbits[1:])
+        (first, second, third), middle = (float(orbit.values[0]) for orbit in self.orbits), self.orbits[1]
+        rounding = max(float(orbit.rounding[0]) for orbit in self.orbits[1:])
         error = abs(second - first) + abs(third - second) + rounding
         return Bifurcation(
             GRAZING, second, error, self.branch, self.place, middle.points, middle.multipliers, np.nan, 0
@@ -115,11 +115,11 @@ def with_grazing(
 ) -> Tree:
     """A tree with the orbits of its branches that graze, as bifurcations of kind `GRAZING` and ends of branches."""
     branches, grazing = list(tree.branches), grazing_orbits(batch, lanes, family, tree, size)
-    for one in grazing:
-        if one.end is not None:
-            ends = tuple(GRAZES if k == one.end else end for k, end in enumerate(branches[one.branch].ends))
-            branches[one.branch] = replace(branches[one.branch], ends=ends)
-    points = [one.bifurcation for one in grazing]
+    for orbit in grazing:
+        if orbit.end is not None:
+            ends = tuple(GRAZES if k == orbit.end else end for k, end in enumerate(branches[orbit.branch].ends))
+            branches[orbit.branch] = replace(branches[orbit.branch], ends=ends)
+    points = [orbit.bifurcation for orbit in grazing]
     points = [points[k] for k in new_bifurcations(family, [], points)]
     return Tree(branches, [*tree.bifurcations, *points], tree.lost)
 
@@ -157,16 +157,16 @@ def arc_problem(
         p = {key: np.full(len(values), leaf[0]) for key, leaf in batch.p.items()}
         return p | dict(zip(names, values.T, strict=True))
 
-    def ends_of(begun: np.ndarray, length: np.ndarray, side: np.ndarray, event: np.ndarray, values: np.ndarray):
-        own = (begun, length, side, event.astype(np.int32), values, at(values))
+    def ends_of(start: np.ndarray, length: np.ndarray, side: np.ndarray, event: np.ndarray, values: np.ndarray):
+        own = (start, length, side, event.astype(np.int32), values, at(values))
         shared = (flow, solver, np.int32(steps), float(flow.period))
         known = lanes(arc_end, shared, own, tile=_TILE, static=(names,), spread=False)
-        end, by_begun, by_length, by_values = (ArcEnds(*map(np.array, part)) for part in known)
-        return end, by_begun, by_length, by_values
+        end, by_start, by_length, by_values = (ArcEnds(*map(np.array, part)) for part in known)
+        return end, by_start, by_length, by_values
 
-    def places_of(begun: np.ndarray, length: np.ndarray, side: np.ndarray, values: np.ndarray):
+    def places_of(start: np.ndarray, length: np.ndarray, side: np.ndarray, values: np.ndarray):
         known = lanes(
-            arc_samples, (flow, solver, np.int32(few)), (begun, length, side, at(values)), tile=_TILE, spread=False
+            arc_samples, (flow, solver, np.int32(few)), (start, length, side, at(values)), tile=_TILE, spread=False
         )
         return ArcPlaces(*map(np.asarray, known))
 
@@ -205,17 +205,17 @@ def _changes(family: Family, branch: Branch, events: EventSequence) -> list[_Cha
 
 def arcs_of(events: EventSequence, place: int, n: int, period: float) -> Arcs | None:
     """The arcs of an orbit of n periods from the events of all orbits of a branch; None where events coincide."""
-    begun, lengths, numbers, sides, surfaces = [], [], [], [], events.side.shape[-1]
+    start, lengths, numbers, sides, surfaces = [], [], [], [], events.side.shape[-1]
     for i in range(n):
         k = int(events.met[place, i])
         time = np.concatenate([[0.0], events.time[place, i, :k], [period]])
-        begun.append(np.concatenate([events.state[place, i, : k + 1], time[: k + 1, None]], axis=1))
+        start.append(np.concatenate([events.state[place, i, : k + 1], time[: k + 1, None]], axis=1))
         lengths.append(np.diff(time))
         numbers.append(np.append(events.number[place, i, :k], 2 * surfaces))
         sides.append(events.side[place, i, : k + 1])
     length = np.concatenate(lengths)
     sequence = ArcSequence(np.concatenate(numbers), np.concatenate(sides), 0)
-    return Arcs(np.concatenate(begun), length, sequence) if np.all(length > 0.0) else None
+    return Arcs(np.concatenate(start), length, sequence) if np.all(length > 0.0) else None
 
 
 # ---- orbits that touch
@@ -233,22 +233,22 @@ def _first_grazing(
     for seed in change.seeds:
         arcs, values = arcs_of(events, seed, branch.period, batch.flow.period), branch.value[[seed]]
         for guess in _guesses(problem, batch, arcs, values)[:_TRIED] if arcs else []:
-            orbit = grazing_orbit(problem, guess.sequence, guess.begun, guess.length, values)
+            orbit = grazing_orbit(problem, guess.sequence, guess.start, guess.length, values)
             if orbit is None or not _is_near(family, branch, seed, orbit, change.reach):
                 continue
             equations = GrazingEquations(problem, orbit.sequence)
-            if not equations.passes_beyond(equations.unknowns(orbit.begun, orbit.length, orbit.values)[None])[0]:
+            if not equations.passes_beyond(equations.unknowns(orbit.start, orbit.length, orbit.values)[None])[0]:
                 return orbit
     return None
 
 
 def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np.ndarray, " 1"]) -> list[_TouchGuess]:
     """Places where an orbit may touch, those nearest first: turns before a wall or surface, and slow impacts."""
-    flow, (begun, length, sequence) = batch.flow, arcs
+    flow, (start, length, sequence) = batch.flow, arcs
     assert isinstance(flow, PiecewiseSmooth)
     event, side = sequence.event, sequence.side
     m, surfaces = side.shape
-    places = problem.places(begun, length, side, np.tile(values, (m, 1)))
+    places = problem.places(start, length, side, np.tile(values, (m, 1)))
     size = np.maximum(np.ptp(places.height, axis=(0, 1)), np.finfo(float).tiny)
     count = places.height.shape[1]
     part = length / count
@@ -262,21 +262,19 @@ def _guesses(problem: ArcProblem, batch: LaneBatch, arcs: Arcs, values: Float[np
         for k in range(surfaces):
             above, falling = side[j, k] * height[j, :, k], side[j, k] * rate[j, :, k]
             turns = (falling[:-1] < 0.0) & (falling[1:] >= 0.0)
-            if problem.rising[
-                k
-            ]:  # a wall that is met from below is left upwards without an event, and touched from there
+            if problem.rising[k]:  # met from below, it is left upwards without an event, and touched from there
                 turns |= (falling[:-1] > 0.0) & (falling[1:] <= 0.0)
             for i in np.flatnonzero(turns).tolist():
                 share = falling[i] / (falling[i] - falling[i + 1])
                 away = above[i] + 0.5 * falling[i] * share * part[j]
                 there = (1.0 - share) * state[j, i] + share * state[j, i + 1]
-                new = touching(sequence, begun, length, j, (i + share) / count, there, k)
+                new = touching(sequence, start, length, j, (i + share) / count, there, k)
                 guesses.append(_TouchGuess(abs(away) / size[k], *new))
         k = int(event[j])
         if k < len(flow.jumps):
             bend = abs(rate[j, -1, k] - rate[j, -2, k]) / part[j]
             away = 0.5 * rate[j, -1, k] ** 2 / max(bend, np.finfo(float).tiny)
-            touched, ahead = event.copy(), begun.copy()
+            touched, ahead = event.copy(), start.copy()
             touched[j] = surfaces + k
             ahead[(j + 1) % m, :-1] = state[j, -1]
             guesses.append(_TouchGuess(abs(away) / size[k], ArcSequence(touched, side, j), ahead, length))
@@ -295,7 +293,7 @@ def _refined(problems: Sequence[ArcProblem], first: GrazingOrbit) -> list[Grazin
     orbits = [first]
     for finer in problems[1:]:
         last = orbits[-1]
-        orbit = grazing_orbit(finer, last.sequence, last.begun, last.length, last.values)
+        orbit = grazing_orbit(finer, last.sequence, last.start, last.length, last.values)
         if orbit is None:
             return None
         orbits.append(orbit)

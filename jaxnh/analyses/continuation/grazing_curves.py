@@ -55,11 +55,11 @@ def grazing_curves(
         with lanes.stage(f"curves: orbits that graze at {names[1]} = {second:g}", 0):
             families = [orbit_family(batch, lanes, strobe, unit, reach) for strobe in refined_maps(batch)]
             tree = grow(families[:1] * 3, seeds, options.max_period, steps._replace(max_steps=STEPS.max_steps))
-            for one in grazing_orbits(batch, lanes, families[0], tree, unit):
-                if one.orbits[0].sequence.events:
-                    followed += _new_curve(problems[0], followed, one.orbits[0], second, steps)
+            for grazing in grazing_orbits(batch, lanes, families[0], tree, unit):
+                if grazing.orbits[0].sequence.events:
+                    followed += _new_curve(problems[0], followed, grazing.orbits[0], second, steps)
     surfaces = surface_names(batches[0].flow)
-    return [_curve(problems, one, surfaces[one.sequence.surface]) for one in followed]
+    return [_curve(problems, curve, surfaces[curve.sequence.surface]) for curve in followed]
 
 
 def _new_curve(
@@ -67,11 +67,11 @@ def _new_curve(
 ) -> list[_GrazingCurve]:
     """The curve through an orbit that touches, where none that is known goes through it."""
     equations = GrazingEquations(problem, orbit.sequence)
-    z = equations.unknowns(orbit.begun, orbit.length, np.append(orbit.values, second))
-    begun = core.correct(equations, z[None], tolerance=FINE)
-    if not begun.converged[0] or any(_passes(problem, curve, orbit, second) for curve in there):
+    z = equations.unknowns(orbit.start, orbit.length, np.append(orbit.values, second))
+    start = core.correct(equations, z[None], tolerance=FINE)
+    if not start.converged[0] or any(_passes(problem, curve, orbit, second) for curve in there):
         return []
-    return [_GrazingCurve(orbit.sequence, paths.follow_both_ways(equations, begun, steps)[0])]
+    return [_GrazingCurve(orbit.sequence, paths.follow_both_ways(equations, start, steps)[0])]
 
 
 def _passes(problem: ArcProblem, curve: _GrazingCurve, orbit: GrazingOrbit, second: float) -> bool:
@@ -79,15 +79,15 @@ def _passes(problem: ArcProblem, curve: _GrazingCurve, orbit: GrazingOrbit, seco
     for turned in orbit.turned():
         if turned.sequence.same_as(curve.sequence):
             equations, values = GrazingEquations(problem, turned.sequence), np.append(turned.values, second)
-            z = equations.unknowns(turned.begun, turned.length, values)
+            z = equations.unknowns(turned.start, turned.length, values)
             if nearest(curve.track.points.z, curve.track.points.way, z).distance <= _NEAR:
                 return True
     return False
 
 
-def _curve(problems: Sequence[ArcProblem], one: _GrazingCurve, surface: str) -> ConditionCurve:
+def _curve(problems: Sequence[ArcProblem], curve: _GrazingCurve, surface: str) -> ConditionCurve:
     """Points of the curve by arcs of twice the steps, errors from those of once and four times."""
-    points, equations = one.track.points, [GrazingEquations(problem, one.sequence) for problem in problems]
+    points, equations = curve.track.points, [GrazingEquations(problem, curve.sequence) for problem in problems]
     solved = [core.correct(each, points.z, points.way, FINE) for each in equations]
     places = [np.where(each.converged[:, None], each.z, np.nan) for each in solved]
     first, second, third = (each.parts(z)[2] for each, z in zip(equations, places, strict=True))
@@ -95,7 +95,7 @@ def _curve(problems: Sequence[ArcProblem], one: _GrazingCurve, surface: str) -> 
     width = problems[0].high - problems[0].low
     rounding = np.spacing(np.abs(second)) + points.z.shape[1] * np.finfo(float).eps * width
     errors = np.abs(second - first) + np.abs(third - second) + rounding
-    n = len(one.sequence.first)
+    n = len(curve.sequence.first)
     durations = np.full(len(second), n * problems[0].period)
     condition = CycleCondition(GRAZING, surface, 0.0)
-    return ConditionCurve(condition, n, second, errors, durations, multipliers, one.track.ends, places[1])
+    return ConditionCurve(condition, n, second, errors, durations, multipliers, curve.track.ends, places[1])

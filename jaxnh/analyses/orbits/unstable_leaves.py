@@ -176,22 +176,14 @@ def _pieces(
     away = np.take_along_axis(away, at[:, :, None, None], axis=2)[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         way = -np.einsum("cij,cij->ci", away, across) / np.einsum("cij,cij->ci", direction, across)
-    start_step = (
-        np.array(
-            [np.searchsorted(np.maximum.accumulate(directions), directions - _GROWTH, "right") for directions in growth]
-        )
-        - 1
-    )
-    possible = (
-        (start_step >= 0)
-        & np.take_along_axis(settled, np.maximum(start_step, 0), axis=1)
-        & (np.abs(way) < _SIDES * apart)
-    )
+    highest = np.maximum.accumulate(growth, axis=1)
+    short = np.array([np.searchsorted(*row, "right") for row in zip(highest, growth - _GROWTH, strict=True)]) - 1
+    possible = (short >= 0) & np.take_along_axis(settled, np.maximum(short, 0), axis=1) & (np.abs(way) < _SIDES * apart)
     with np.errstate(invalid="ignore"):
         cost = np.where(possible, np.maximum(np.abs(way), apart), np.inf)
     index = np.argmin(cost, axis=1)
     each = each[:, 0]
-    start = np.maximum(start_step[each, index], 0)
+    start = np.maximum(short[each, index], 0)
     shrunk = np.exp(growth[each, start] - growth[each, index])
     shift = direction[each, start] * (way[each, index] * shrunk)[:, None]
     return LeafPiece(index, start, shift, at[each, index], np.isfinite(cost[each, index]))

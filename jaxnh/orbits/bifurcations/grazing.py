@@ -107,7 +107,7 @@ class GrazingOrbit(NamedTuple):
 
     Attributes:
         sequence: its arcs.
-        begun: coordinates and times where they begin, (m, d + 1).
+        start: coordinates and times where they begin, (m, d + 1).
         length: of them, (m,).
         values: of the parameters, (q,).
         multipliers: those of the side on which the orbit does not reach what it touches, (d,).
@@ -115,7 +115,7 @@ class GrazingOrbit(NamedTuple):
     """
 
     sequence: ArcSequence
-    begun: Float[np.ndarray, "m more"]
+    start: Float[np.ndarray, "m more"]
     length: Float[np.ndarray, " m"]
     values: Float[np.ndarray, " q"]
     multipliers: Complex[np.ndarray, " d"]
@@ -124,15 +124,15 @@ class GrazingOrbit(NamedTuple):
     @property
     def points(self) -> Float[np.ndarray, "n d"]:
         """The orbit's points at the beginnings of periods."""
-        return self.begun[self.sequence.first, :-1]
+        return self.start[self.sequence.first, :-1]
 
     def turned(self) -> Iterator[GrazingOrbit]:
         """The same orbit from each of its periods on."""
         (event, side, touch), m = self.sequence, len(self.length)
         for k in self.sequence.first.tolist():
             sequence = ArcSequence(np.roll(event, -k), np.roll(side, -k, axis=0), (touch - k) % m)
-            begun, length = np.roll(self.begun, -k, axis=0), np.roll(self.length, -k)
-            yield self._replace(sequence=sequence, begun=begun, length=length)
+            start, length = np.roll(self.start, -k, axis=0), np.roll(self.length, -k)
+            yield self._replace(sequence=sequence, start=start, length=length)
 
 
 class GrazingEquations(EquationsOfPaths):
@@ -152,9 +152,9 @@ class GrazingEquations(EquationsOfPaths):
         self.unit = np.ones(len(self._size))
         self.low, self.high = problem.low / width, problem.high / width
 
-    def unknowns(self, begun: np.ndarray, length: np.ndarray, values: np.ndarray) -> Float[np.ndarray, " N"]:
+    def unknowns(self, start: np.ndarray, length: np.ndarray, values: np.ndarray) -> Float[np.ndarray, " N"]:
         """Unknowns of an orbit."""
-        return np.concatenate([begun.ravel(), length, values]) / self._size
+        return np.concatenate([start.ravel(), length, values]) / self._size
 
     def parts(self, z: Float[np.ndarray, "lanes N"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Beginnings, lengths and parameters of unknowns."""
@@ -165,38 +165,38 @@ class GrazingEquations(EquationsOfPaths):
         self, z: Float[np.ndarray, " N"], blocks: Float[np.ndarray, "m e e"], step: Float[np.ndarray, " N"]
     ) -> GrazingOrbit:
         """The orbit of unknowns, with what is left of Newton's steps."""
-        (begun,), (length,), (values,) = self.parts(z[None])
+        (start,), (length,), (values,) = self.parts(z[None])
         (left,) = self.parts(step[None])[2]
         rounding = np.abs(left) + np.spacing(np.abs(values))
-        return GrazingOrbit(self._sequence, begun, length, values, self.multipliers(blocks[None])[0], rounding)
+        return GrazingOrbit(self._sequence, start, length, values, self.multipliers(blocks[None])[0], rounding)
 
     def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
         """What is missing to an orbit, derivatives of each arc, and those of all in the unknowns."""
-        begun, length, values = self.parts(z)
-        (lanes, m, e), q, sequence = begun.shape, values.shape[1], self._sequence
-        flat = (begun.reshape(-1, e), length.ravel(), np.tile(sequence.side, (lanes, 1)))
+        start, length, values = self.parts(z)
+        (lanes, m, e), q, sequence = start.shape, values.shape[1], self._sequence
+        flat = (start.reshape(-1, e), length.ravel(), np.tile(sequence.side, (lanes, 1)))
         at = self._problem.ends(*flat, np.tile(sequence.event, lanes), np.repeat(values, m, axis=0))
-        end, by_begun, by_length, by_values = (
+        end, by_start, by_length, by_values = (
             ArcEnds(*(leaf.reshape(lanes, m, *leaf.shape[1:]) for leaf in part)) for part in at
         )
-        gap = end.after - np.roll(begun, -1, axis=1)
+        gap = end.after - np.roll(start, -1, axis=1)
         gap[..., :-1] = self._problem.wrap(gap[..., :-1])
         residual = np.concatenate([gap.reshape(lanes, -1), end.missing, end.height[:, [sequence.touch]]], axis=1)
         slopes, cut = np.zeros((lanes, m * e + m + 1, m * e + m + q)), m * e
         for k in range(m):
             own, ahead = slice(k * e, (k + 1) * e), (k + 1) % m * e
-            slopes[:, own, own] += by_begun.after[:, k]
+            slopes[:, own, own] += by_start.after[:, k]
             slopes[:, own, ahead : ahead + e] -= np.eye(e)
             slopes[:, own, cut + k] = by_length.after[:, k]
             slopes[:, own, cut + m :] = by_values.after[:, k]
             rows = [(cut + k, "missing")] + ([(cut + m, "height")] if k == sequence.touch else [])
             for row, name in rows:
-                slopes[:, row, own] = getattr(by_begun, name)[:, k]
+                slopes[:, row, own] = getattr(by_start, name)[:, k]
                 slopes[:, row, cut + k] = getattr(by_length, name)[:, k]
                 slopes[:, row, cut + m :] = getattr(by_values, name)[:, k]
         with np.errstate(all="ignore"):
             onwards = by_length.after[..., None] / by_length.missing[..., None, None]
-            blocks = by_begun.after - onwards * by_begun.missing[..., None, :]
+            blocks = by_start.after - onwards * by_start.missing[..., None, :]
         return Evaluation(residual / self._rows, blocks, slopes * self._size / self._rows[:, None])
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
@@ -217,10 +217,10 @@ class GrazingEquations(EquationsOfPaths):
 
     def passes_beyond(self, z: Float[np.ndarray, "lanes N"]) -> Bool[np.ndarray, " lanes"]:
         """Return whether arcs go beyond walls or surfaces before their events, or take less than no time."""
-        begun, length, values = self.parts(z)
-        (lanes, m, e), side = begun.shape, np.tile(self._sequence.side, (len(z), 1))
+        start, length, values = self.parts(z)
+        (lanes, m, e), side = start.shape, np.tile(self._sequence.side, (len(z), 1))
         known = np.isfinite(z).all(axis=1)
-        flat = (begun.reshape(-1, e), length.ravel(), side, np.repeat(values, m, axis=0))
+        flat = (start.reshape(-1, e), length.ravel(), side, np.repeat(values, m, axis=0))
         height = self._problem.places(*flat).height
         with np.errstate(invalid="ignore"):
             near = _BEYOND * np.ptp(height, axis=1)[:, None]
@@ -244,13 +244,13 @@ class GrazingEquations(EquationsOfPaths):
 def grazing_orbit(
     problem: ArcProblem,
     sequence: ArcSequence,
-    begun: Float[np.ndarray, "m more"],
+    start: Float[np.ndarray, "m more"],
     length: Float[np.ndarray, " m"],
     values: Float[np.ndarray, " 1"],
 ) -> GrazingOrbit | None:
     """The orbit that touches, near a guess, of a problem with one parameter; None where Newton does not come to one."""
     equations = GrazingEquations(problem, sequence)
-    z, last = equations.unknowns(begun, length, values)[None], np.inf
+    z, last = equations.unknowns(start, length, values)[None], np.inf
     for _ in range(_NEWTON_STEPS):
         at = equations.evaluate(z)
         if not all(np.isfinite(leaf).all() for leaf in at):
@@ -268,7 +268,7 @@ def grazing_orbit(
 
 def touching(
     sequence: ArcSequence,
-    begun: np.ndarray,
+    start: np.ndarray,
     length: np.ndarray,
     arc: int,
     share: float,
@@ -277,9 +277,9 @@ def touching(
 ) -> tuple[ArcSequence, np.ndarray, np.ndarray]:
     """Arcs with one of them cut where it comes near a surface, at a share of it and at a state (d,)."""
     at = arc + 1
-    count, time = sequence.side.shape[1], begun[arc, -1] + share * length[arc]
+    count, time = sequence.side.shape[1], start[arc, -1] + share * length[arc]
     event = np.insert(sequence.event, arc, count + surface)
     side = np.insert(sequence.side, at, sequence.side[arc], axis=0)
     lengths = np.insert(length, at, (1.0 - share) * length[arc])
     lengths[arc] = share * length[arc]
-    return ArcSequence(event, side, arc), np.insert(begun, at, np.append(state, time), axis=0), lengths
+    return ArcSequence(event, side, arc), np.insert(start, at, np.append(state, time), axis=0), lengths
