@@ -23,9 +23,10 @@ Requested = Sequence[tuple[Analysis, Options]]
 
 _BYTES = 1 << 28  # of results that are computed at once
 _LANES = 8192  # that are computed at once: enough to fill the tiles of programs that few of them need
-_LANES_ON_CARD, _GROUPS_ON_CARD = 1 << 20, 512  # in place of these on a graphics card
+_LANES_ON_CARD, _GROUPS_ON_CARD = 1 << 19, 1024  # in place of these on a graphics card
 _MOST_COMPARED = 1 << 14  # values of the shared axes whose periods are compared
 _BATCHES = 4  # a device at least, so that none waits long for the last
+_BATCHES_ON_CARD = 2  # a thread takes as long for an orbit as all threads: fewer batches have fewer calls of Newton's
 
 
 def batches(
@@ -43,13 +44,12 @@ def batches(
     """
     cutting, devices, on_card = job.cutting, len(lanes.devices), lanes.on_card
     numbers = sum(a.numbers(options) for a, options in requested if a.name in cutting.independent)
-    share = sum(lanes_of(piece, level) for piece in pieces) // (_BATCHES * devices)
+    share = sum(lanes_of(piece, level) for piece in pieces) // ((_BATCHES_ON_CARD if on_card else _BATCHES) * devices)
     most = max(cutting.tile, devices * TILE, min(_LANES_ON_CARD if on_card else _LANES, share))
     held = max(cutting.tile, _BYTES // (8 * max(1, numbers)))
     most_values = 1
     if stackable(experiment, axes, requested, job.plan.solver):
-        groups_a_batch = _GROUPS_ON_CARD if on_card else GROUPS
-        most_values = max(1, min(groups_a_batch, len(pieces) // (_BATCHES * devices)))
+        most_values = _GROUPS_ON_CARD if on_card else max(1, min(GROUPS, len(pieces) // (_BATCHES * devices)))
     alike = _alike(experiment, axes)
     groups: list[list[Piece]] = []
     computed, there, places = 0, 0, set[tuple[int, ...]]()  # lanes and shared places of the last batch

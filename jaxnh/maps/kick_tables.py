@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import itertools
+import os
 import threading
 from collections.abc import Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -99,9 +101,19 @@ def whole_periods(systems: Sequence[IsokineticParticle], solver: IsokineticSplit
     keys = [(_clock_of(system), solver, steps) for system in systems]
     with _READING:
         tables = {key: _TABLES[key] for key in keys if key in _TABLES}
-    for alike in _groups(list(dict.fromkeys(key[0] for key in keys if key not in tables))):
+    groups = _groups(list(dict.fromkeys(key[0] for key in keys if key not in tables)))
+
+    def made(alike: tuple[_Clock, ...]) -> list[Table]:
         ends = np.zeros(1), np.array([alike[0].particle().period])
-        for clock, table in zip(alike, _processed_tables(alike, solver, steps, ends, 1), strict=True):
+        return _processed_tables(alike, solver, steps, ends, 1)
+
+    if len(groups) < 2:
+        made_of_groups = list(map(made, groups))
+    else:
+        with ThreadPoolExecutor(os.cpu_count()) as threads:
+            made_of_groups = list(threads.map(made, groups))
+    for alike, of_group in zip(groups, made_of_groups, strict=True):
+        for clock, table in zip(alike, of_group, strict=True):
             for leaf in table:
                 leaf.flags.writeable = False
             tables[clock, solver, steps] = table

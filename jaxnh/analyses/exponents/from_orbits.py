@@ -17,6 +17,7 @@ from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns,
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images, orbits
 from jaxnh.analyses.section_points import states_at
+from jaxnh.orbits.multipliers import eigenvalues
 from jaxnh.systems.state import LaneStates
 
 _LONGEST = 64  # period of an orbit that is looked for
@@ -155,7 +156,7 @@ def _logs(
 ) -> tuple[Float[np.ndarray, "lanes k"], Float[np.ndarray, "lanes k"]]:
     """Return ln|μ|/n of orbits of periods n through points u, largest first, and its rounding, with refined steps."""
     k = len(growth.tangents)
-    moduli = np.sort(np.abs(np.linalg.eigvals(monodromy)), axis=1)[:, ::-1][:, :k]
+    moduli = np.sort(np.abs(eigenvalues(monodromy)), axis=1)[:, ::-1][:, :k]
     with np.errstate(divide="ignore", invalid="ignore"):  # of maps a multiplier, or the whole matrix, may vanish
         share = moduli / np.linalg.norm(monodromy, axis=(1, 2))[:, None]
         logs, rounding = np.log(moduli) / n[:, None], _ROUNDING / share / n[:, None]

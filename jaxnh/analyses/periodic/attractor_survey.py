@@ -207,9 +207,10 @@ def _survey_at(
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
     while first <= tries and np.any(rank[-1, period == 0] >= first):
         # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other.
-        n, lane = np.nonzero(recurs & (rank >= first) & (rank <= last) & (period == 0))
+        tried = recurs & (rank >= first) & (rank <= last) & (period == 0)
+        n, lane = np.nonzero(tried)
         first, last = last + 1, 2 * last + 1
-        with lanes.stage(f"{label}: orbits of {len(np.unique(lane))} lanes", 0):
+        with lanes.stage(f"{label}: orbits of {np.count_nonzero(tried.any(axis=0))} lanes", 0):
             orbit = orbits(lanes, strobe, point[lane], select(p, lane), n, size[lane])
         near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * CLOSE
         largest = largest_multiplier(orbit.monodromy)

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.batch import LaneRunner, select
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
+from jaxnh.orbits.multipliers import eigenvalues
 from jaxnh.orbits.newton import Images, Orbit, find_orbits
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
@@ -49,6 +50,8 @@ def orbits(
         return find_orbits(at, u[lane], size[lane], strobe.chart.wrap)
 
     order = np.argsort(n, kind="stable")
+    if lanes.on_card:  # whose threads do not wait for each other
+        return select(of(order, ORBIT_TILE), np.argsort(order))
     short, long = order[n[order] <= _SHORT], order[n[order] > _SHORT]
     groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
     orbits_by_group = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
@@ -116,5 +119,5 @@ def _prime_factors(n: Int[np.ndarray, " lanes"], above: Int[np.ndarray, " lanes"
 def largest_multiplier(monodromy: Float[np.ndarray, "lanes d d"]) -> Float[np.ndarray, " lanes"]:
     """Largest modulus of the eigenvalues; infinite where the matrix is not finite."""
     finite = np.all(np.isfinite(monodromy), axis=(1, 2))
-    moduli = np.abs(np.linalg.eigvals(np.where(finite[:, None, None], monodromy, 0.0)))
+    moduli = np.abs(eigenvalues(np.where(finite[:, None, None], monodromy, 0.0)))
     return np.where(finite, moduli.max(axis=1), np.inf)

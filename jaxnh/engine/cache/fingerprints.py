@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -26,20 +26,25 @@ class CallFingerprints:
         common, of_shared = jax.tree.flatten(shared)
         digest = hashlib.sha256(_words(function, of_shared, structure))
         for leaf in common:
-            digest.update(self._digest(leaf))
+            for part in self._digest(leaf):
+                digest.update(part)
         for leaf in leaves:
-            digest.update(_content(leaf))
+            for part in _content(leaf):
+                digest.update(part)
         return digest.hexdigest()
 
-    def _digest(self, leaf: Any) -> bytes:
-        """Digest of the content of an array."""
+    def _digest(self, leaf: Any) -> Sequence[Any]:
+        """The digest of an array's content, or what else is no array."""
         if not isinstance(leaf, np.ndarray):
             return _content(leaf)
         if id(leaf) not in self._known:
             if len(self._known) >= _READ:
                 self._known.clear()
-            self._known[id(leaf)] = leaf, hashlib.sha256(_content(leaf)).digest()
-        return self._known[id(leaf)][1]
+            digest = hashlib.sha256()
+            for part in _content(leaf):
+                digest.update(part)
+            self._known[id(leaf)] = leaf, digest.digest()
+        return (self._known[id(leaf)][1],)
 
 
 @functools.lru_cache(_READ)
@@ -47,14 +52,14 @@ def _words(function: Callable[..., Any], *structures: Any) -> bytes:
     return _without_addresses(" ".join([_qualified_name(function), *map(str, structures)]))
 
 
-def _content(leaf: Any) -> bytes:
-    """A number or array with its kind and shape, a function by its name."""
+def _content(leaf: Any) -> Sequence[Any]:
+    """A number or array with its kind and shape, a function by its name: bytes in parts, an array where it stands."""
     if callable(leaf):
-        return _without_addresses(_qualified_name(leaf))
+        return (_without_addresses(_qualified_name(leaf)),)
     data = np.asarray(leaf)
     if data.dtype.kind == "U":
-        return str(data).encode()
-    return f"{data.dtype} {data.shape}".encode() + np.ascontiguousarray(data).tobytes()
+        return (str(data).encode(),)
+    return f"{data.dtype} {data.shape}".encode(), np.ascontiguousarray(data).reshape(-1).view(np.uint8)
 
 
 def _qualified_name(function: Any) -> str:

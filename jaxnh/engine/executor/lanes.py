@@ -32,7 +32,7 @@ They take a tenth of a second of the fast maps and some seconds of slow ones, an
 no measured rate that decides, so that a later run makes the same calls.
 """
 
-_ON_CARD = (1 << 12, 1 << 15, 1 << 18, 1 << 20)
+_ON_CARD = (1 << 12, 1 << 15, 1 << 17, 1 << 19)
 """Lanes a tile on a graphics card, where every lane is a thread of its own whose bits depend on no other: the least of
 these that holds a call's lanes. Those that fill it up end at once."""
 
