@@ -14,7 +14,7 @@ import jaxnh
 from jaxnh.analyses.continuation.curve_tables import CURVE_KINDS
 from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
-from jaxnh.analyses.continuation.grazing import arc_problem, may_graze, with_grazing
+from jaxnh.analyses.continuation.grazing import arc_problem, grazing_sensitivities, may_graze, with_grazing
 from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.orbits.bifurcations.grazing import ArcSequence, grazing_orbit, touching
 from jaxnh.orbits.continuation.kinds import GRAZING, KINDS
@@ -131,6 +131,21 @@ def test_an_orbit_that_touches_the_wall(quick_lanes):
     assert [one.points.tolist() for one in orbit.turned()] == [orbit.points.tolist()]
 
 
+def test_what_an_orbit_that_touches_depends_on(quick_lanes):
+    """Without an impact the restitution changes nothing, and a faster drive the amplitude 1/(ω² − 1)."""
+    batch, ends = oscillators(), (np.array([-0.3]), np.array([0.3]))
+    touching_orbit = ArcSequence(np.array([1, 2]), np.array([[-1.0], [-1.0]]), 0)
+    half = np.pi / OMEGA
+    start, length = np.array([[FORCED, 0.0, 0.0], [-FORCED, 0.0, half]]), np.array([half, half])
+    problems = [arc_problem(batch, quick_lanes, ("s",), ends, np.ones(2), more) for more in (1, 2)]
+    orbits = [grazing_orbit(problem, touching_orbit, start, length, np.array([-FORCED])) for problem in problems]
+    found = grazing_sensitivities(batch, quick_lanes, [orbits])
+    assert (found.names, found.absent) == (("r", "omega"), {})
+    exact = np.array([[0.0, -2.0 * OMEGA / (OMEGA**2 - 1) ** 2]])
+    assert np.all(np.abs(found.rates - exact) <= found.errors)
+    assert np.all(found.errors < 1e-10)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_branch_ends_where_its_orbit_touches_the_wall(lanes, side):
@@ -156,7 +171,7 @@ def test_impacting_orbits_that_graze(tmp_path):
     (tmp_path / "impact.yaml").write_text(
         "system: {file: impact.py}\ninitial: {x: -0.1}\nsweep: {s: {start: -0.3, stop: 0.3, count: 33}}\n"
         "accuracy: {target: 1.0e-9}\nanalyses:\n  branches: {max_period: 4, n_starts: 8, n_values: 5, seed: 1, "
-        "box: {x: [-1, 0], v: [-1, 1]}}\n"
+        "box: {x: [-1, 0], v: [-1, 1]}, sensitivities: true}\n"
     )
     tree = session_of(jaxnh.load(tmp_path / "impact.yaml")).tree()
     branches, points = (tree[name].to_dataset() for name in ("branches", "bifurcations"))
@@ -173,8 +188,11 @@ def test_impacting_orbits_that_graze(tmp_path):
         s, error, n = float(one["s"]), float(one["s_error"]), int(one["period"])
         orbit = np.array([one["x_points"].values[0], one["v_points"].values[0]])
         if len(impacts_of(orbit, s, 0.8, n * 2 * np.pi / OMEGA)[0]):
-            exact = grazing_exactly(grazing_near(orbit, s, 0.8, n), 0.8, n)[-1]
-            assert abs(s - exact) <= error + 1e-14
+            exact = grazing_exactly(grazing_near(orbit, s, 0.8, n), 0.8, n)
+            assert abs(s - exact[-1]) <= error + 1e-14
+            more, less = (grazing_exactly(exact, 0.8 + h, n)[-1] for h in (1e-4, -1e-4))
+            by_r = one.sel(parameter="r")
+            assert abs(by_r["s_sensitivity"] - (more - less) / 2e-4) <= by_r["s_sensitivity_error"] + 1e-7
             checked += 1
         else:
             assert abs(abs(s) - abs(FORCED)) <= error

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from jaxnh.analyses.continuation.known_branches import SAME, KnownBranches, same_orbit
+from jaxnh.orbits.bifurcations.grazing import GrazingOrbit
 from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, locate_near, neutral_pair
 from jaxnh.orbits.bifurcations.normal_forms import cubic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, along_parameter, correct
@@ -49,6 +50,7 @@ class Bifurcation(NamedTuple):
         multipliers: of it, (d,).
         coefficient: cubic one of the normal form; of a fold the second derivative of the parameter along the curve.
         criticality: −1 subcritical, 1 supercritical, 0 none or not known.
+        arcs: the orbit between its events, by steps of several lengths, where it grazes.
     """
 
     kind: int
@@ -60,6 +62,7 @@ class Bifurcation(NamedTuple):
     multipliers: Complex[np.ndarray, " d"]
     coefficient: float
     criticality: int
+    arcs: Sequence[GrazingOrbit] = ()
 
 
 class SignChange(NamedTuple):

@@ -17,6 +17,14 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree, new_bifurcations
+from jaxnh.analyses.periodic.sensitivities import (
+    ROUNDING,
+    SMALLEST_SHIFT,
+    Sensitivities,
+    parameter_names,
+    scale_of,
+    shifted_batch,
+)
 from jaxnh.maps.event_arcs import EventSequence, arc_end, arc_samples, event_sequence
 from jaxnh.maps.jumping import JumpingStrobe
 from jaxnh.orbits.bifurcations.grazing import (
@@ -29,6 +37,7 @@ from jaxnh.orbits.bifurcations.grazing import (
     grazing_orbit,
     touching,
 )
+from jaxnh.orbits.bifurcations.sensitivities import difference
 from jaxnh.orbits.continuation.arclength import Family, PathVector, length
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.kinds import GRAZING
@@ -106,7 +115,7 @@ class Grazing(NamedTuple):
         rounding = max(float(orbit.rounding[0]) for orbit in self.orbits[1:])
         error = abs(second - first) + abs(third - second) + rounding
         return Bifurcation(
-            GRAZING, second, error, self.branch, self.place, middle.points, middle.multipliers, np.nan, 0
+            GRAZING, second, error, self.branch, self.place, middle.points, middle.multipliers, np.nan, 0, self.orbits
         )
 
 
@@ -173,6 +182,50 @@ def arc_problem(
     assert isinstance(flow, PiecewiseSmooth)
     rising = np.array([way != "both" for way in flow.jumps] + [False] * flow.switches)
     return ArcProblem(ends_of, places_of, rising, batch.chart.wrap, size, float(flow.period), *ends)
+
+
+# ---- derivatives in all other parameters
+
+
+def grazing_sensitivities(
+    batch: LaneBatch, lanes: LaneRunner, grazing: Sequence[Sequence[GrazingOrbit]]
+) -> Sensitivities:
+    """Derivatives of the first axis where orbits touch in all other parameters, with steps of half the length.
+
+    Their errors are those of the differences, and the distance to what the steps themselves say.
+
+    Args:
+        batch: a flow that may graze (`may_graze`).
+        lanes: runs lanes.
+        grazing: each orbit by arcs of once, twice and four times the steps.
+    """
+    first, *names = parameter_names(batch)
+    ends, size = (np.array([-1.0]), np.array([1.0])), np.ones(batch.chart.dimension)
+    absent, results = dict[str, str](), np.full((2, 2, len(grazing), len(names)), np.nan)
+    for column, name in enumerate(names):
+
+        def shifted(shift: float, refinement: int, name: str = name) -> ArcProblem:
+            near = shifted_batch(batch, name, shift)
+            return arc_problem(near, lanes, (first,), ends, size, refinement)
+
+        try:
+            shifted(SMALLEST_SHIFT * scale_of(batch, name), 1)
+        except ValueError as error:
+            absent[name] = str(error)
+            continue
+        for finer, refinement in enumerate(REFINEMENTS[:2]):
+            for row, orbits in enumerate(grazing):
+                orbit = orbits[finer]
+
+                def missing(shift: float, orbit: GrazingOrbit = orbit, refinement: int = refinement) -> np.ndarray:
+                    return GrazingEquations(shifted(shift, refinement), orbit.sequence).missing(orbit)
+
+                change = difference(missing, scale_of(batch, name))
+                at = GrazingEquations(shifted(0.0, refinement), orbit.sequence)
+                results[finer, :, row, column] = at.rate(orbit, *change)
+    (coarse, _), (fine, error) = results
+    rounding = ROUNDING * np.abs(fine)
+    return Sensitivities(tuple(names), fine, error + np.abs(fine - coarse) + rounding, absent)
 
 
 # ---- orbits of a branch

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Entry, Table, flag, number_variable, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
+from jaxnh.analyses.continuation.grazing import grazing_sensitivities
 from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, bifurcation_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import (
     absent_words,
@@ -103,6 +104,9 @@ def datasets(
             CriticalOrbit(-1 if family else p.kind, p.value, p.points, p.multipliers) for family, p in bifurcations
         ]
         rates = bifurcation_sensitivities(batch, lanes, critical)
+        if touching := [k for k, (_, point) in enumerate(bifurcations) if point.arcs]:
+            grazing = [bifurcations[k][1].arcs for k in touching]
+            rates = rates.with_rows(touching, grazing_sensitivities(batch, lanes, grazing))
         words = f"{axis.long_name} at the bifurcation"
         points |= sensitivity_variables(rates, batch, "bifurcation", axis.name, words, axis.units)
         own |= {"warnings": reasons} if (reasons := absent_words("bifurcations", rates)) else {}

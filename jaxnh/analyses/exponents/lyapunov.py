@@ -132,7 +132,7 @@ def averages(
     state, p = batch.lanes
     early = early_orbits(batch, lanes, options.transient) if not to_the_end and _has_orbits(options, batch) else None
     state, before = (early.state, early.periods) if early else (jax.tree.map(np.array, state), 0)
-    others = _without(np.arange(count), early.settled, count) if early else np.arange(count)
+    others = _other_lanes(np.arange(count), early.settled, count) if early else np.arange(count)
     with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
         left = max(settling - before, 0)
         if len(others):
@@ -163,7 +163,7 @@ def averages(
                 # A chaotic lane whose tangent shrinks in this block is looked at as well, and goes on.
                 candidates = others[~(rates[others, 0, lead] > 0.0)]
                 settled = settled.join(find_orbits(batch, lanes, growth, candidates, parts, options.periods))
-                running = _without(running, settled.lanes, count)
+                running = _other_lanes(running, settled.lanes, count)
             if options.error and i + 1 >= BLOCKS // 4:
                 plain = average_blocks(rates[running, : i + 1, lead : lead + k])
                 error = widen_to_zero(plain, aligning, (i + 1) * block).error / batch.flow.period
@@ -180,7 +180,7 @@ def _stretches(options: LyapunovOptions) -> list[range]:
     return [range(1), range(1, BLOCKS)]
 
 
-def _without(
+def _other_lanes(
     lanes: Int[np.ndarray, " some"], others: Int[np.ndarray, " others"], count: int
 ) -> Int[np.ndarray, " rest"]:
     """The lanes that are not among others, of so many in all, in their order."""

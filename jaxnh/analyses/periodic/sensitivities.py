@@ -37,7 +37,11 @@ from jaxnh.orbits.multipliers import multipliers
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.systems.flow import Parameters
 
-_ROUNDING = 16.0 * np.finfo(float).eps  # of a derivative: sums and quotients that it is made of
+ROUNDING = 16.0 * np.finfo(float).eps
+"""Of a derivative, relative to it: sums and quotients that it is made of."""
+
+SMALLEST_SHIFT = 2.0**-15
+"""Of a parameter, in its size, by which it is asked whether the system exists nearby."""
 
 Numbers = tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " numbers"]]
 """Derivatives in some parameters, and their errors."""
@@ -63,6 +67,12 @@ class Sensitivities(NamedTuple):
         room = [(0, count - len(self.rates)), (0, 0)]
         rates, errors = (np.pad(table, room, constant_values=np.nan) for table in (self.rates, self.errors))
         return self._replace(rates=rates, errors=errors)
+
+    def with_rows(self, rows: Sequence[int], other: Sensitivities) -> Sensitivities:
+        """Return the derivatives with those of some numbers from elsewhere, in the same parameters."""
+        rates, errors = self.rates.copy(), self.errors.copy()
+        rates[list(rows)], errors[list(rows)] = other.rates, other.errors
+        return self._replace(rates=rates, errors=errors, absent={**self.absent, **other.absent})
 
 
 class ParametrisedOrbits(NamedTuple):
@@ -115,7 +125,7 @@ def sensitivities(
         blocks = np.split(flat, np.cumsum([len(orbit) for orbit in at.orbits])[:-1])
         time = _times(batch, lanes, maps, at.p, refinement) if timed else None
         moved = [
-            orbit_motions(shifted, at.orbits, blocks, name, _scale(batch, name), batch.chart.wrap, time, isolated)
+            orbit_motions(shifted, at.orbits, blocks, name, scale_of(batch, name), batch.chart.wrap, time, isolated)
             for name in kept
         ]
         results.append(rates(blocks, list(zip(*moved, strict=True))))
@@ -123,7 +133,7 @@ def sensitivities(
     names = names[len(kept) - second.shape[1] :]  # that of an implicit number is no function of its own parameter
     whole, errors = np.full((len(second), len(names)), np.nan), np.full((len(second), len(names)), np.nan)
     places = [place for place, name in enumerate(names) if name in kept]
-    rounding = _ROUNDING * np.abs(second)
+    rounding = ROUNDING * np.abs(second)
     whole[:, places], errors[:, places] = second, error + np.abs(second - first) + rounding
     return Sensitivities(names, whole, errors, absent)
 
@@ -264,29 +274,40 @@ def _shifted_maps(batch: LaneBatch) -> Callable[[str, float], tuple[Maps, ...]]:
 
     @functools.lru_cache(maxsize=64)
     def at(name: str, shift: float) -> tuple[Maps, ...]:
-        if not shift or _is_own(batch, name):
+        if not shift or is_own(batch, name):
             return refined_maps(batch) if shift == 0.0 else at(name, 0.0)
 
-        def moved(system: System) -> System:
-            value = np.asarray(system.flow.parameters[name], float) + shift
-            return with_parameters(system, {name: value})
-
         if (family := batch.family) is None:
-            return refined_maps(replace(batch, system=moved(batch.system)))
-        near = ParameterFamily(family.names, lambda values: moved(family.at(values)))
+            return refined_maps(shifted_batch(batch, name, shift))
+        near = ParameterFamily(family.names, lambda values: _moved(family.at(values), name, shift))
         return refined_maps(replace(batch, family=near))
 
     return at
 
 
-def _is_own(batch: LaneBatch, name: str) -> bool:
+def shifted_batch(batch: LaneBatch, name: str, shift: float) -> LaneBatch:
+    """Return a batch of one system with a parameter shifted, in its lanes where they have it of their own.
+
+    Raises:
+        ValueError: there is no such system.
+    """
+    if is_own(batch, name):
+        return replace(batch, p=_own(batch, dict(batch.p), name, shift))
+    return replace(batch, system=_moved(batch.system, name, shift)) if shift else batch
+
+
+def _moved(system: System, name: str, shift: float) -> System:
+    return with_parameters(system, {name: np.asarray(system.flow.parameters[name], float) + shift})
+
+
+def is_own(batch: LaneBatch, name: str) -> bool:
     """Return whether lanes of a program may differ in a parameter."""
     return name in batch.p and not (batch.family is not None and name in batch.family.names)
 
 
 def _own(batch: LaneBatch, p: Parameters, name: str, shift: float) -> dict[str, np.ndarray]:
     """Parameters of lanes with one shifted, if it is one of their own."""
-    more = {name: np.asarray(p[name]) + shift} if _is_own(batch, name) else {}
+    more = {name: np.asarray(p[name]) + shift} if is_own(batch, name) else {}
     return {key: np.asarray(value) for key, value in {**p, **more}.items()}
 
 
@@ -294,7 +315,7 @@ def _shifted(
     batch: LaneBatch, lanes: LaneRunner, maps: Callable[..., tuple[Maps, ...]], p: Parameters, refinement: int
 ) -> ShiftedMap:
     def at(name: str, shift: float, u: Float[np.ndarray, "points d"]) -> Derivatives:
-        strobe = maps(name, 0.0 if _is_own(batch, name) else shift)[refinement]
+        strobe = maps(name, 0.0 if is_own(batch, name) else shift)[refinement]
         once = np.ones(len(u), np.int32)
         return images(lanes, strobe, _own(batch, p, name, shift), once)(u, np.arange(len(u)))
 
@@ -305,13 +326,13 @@ def _times(
     batch: LaneBatch, lanes: LaneRunner, maps: Callable[..., tuple[Maps, ...]], p: Parameters, refinement: int
 ) -> ShiftedTime:
     def at(name: str, shift: float, u: Float[np.ndarray, "points d"]) -> Float[np.ndarray, " points"]:
-        strobe = maps(name, 0.0 if _is_own(batch, name) else shift)[refinement]
+        strobe = maps(name, 0.0 if is_own(batch, name) else shift)[refinement]
         return lanes(return_time, (strobe,), (u, _own(batch, p, name, shift)), tile=ORBIT_TILE)
 
     return at
 
 
-def _scale(batch: LaneBatch, name: str) -> float:
+def scale_of(batch: LaneBatch, name: str) -> float:
     """Return the size of a parameter, one where it is zero."""
     values = batch.p[name] if name in batch.p else batch.flow.parameters[name]
     return float(np.abs(np.asarray(values, float)).max()) or 1.0
@@ -320,7 +341,7 @@ def _scale(batch: LaneBatch, name: str) -> float:
 def _reason(batch: LaneBatch, maps: Callable[..., tuple[Maps, ...]], name: str) -> str:
     """Return why the system does not exist near its value of a parameter; "" where it does."""
     try:
-        _ = maps(name, 2.0**-15 * _scale(batch, name))
+        _ = maps(name, SMALLEST_SHIFT * scale_of(batch, name))
     except ValueError as error:
         return str(error)
     return ""

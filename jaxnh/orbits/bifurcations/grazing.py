@@ -170,6 +170,27 @@ class GrazingEquations(EquationsOfPaths):
         rounding = np.abs(left) + np.spacing(np.abs(values))
         return GrazingOrbit(self._sequence, start, length, values, self.multipliers(blocks[None])[0], rounding)
 
+    def missing(self, orbit: GrazingOrbit) -> Float[np.ndarray, " rows"]:
+        """What is missing at an orbit of another problem, in its units."""
+        return self.evaluate(self.unknowns(orbit.start, orbit.length, orbit.values)[None]).residual[0]
+
+    def rate(
+        self, orbit: GrazingOrbit, change: Float[np.ndarray, " rows"], error: Float[np.ndarray, " rows"]
+    ) -> tuple[float, float]:
+        """The derivative of the first parameter in another one, by the implicit function theorem, and its error.
+
+        Args:
+            orbit: one that touches, of a problem with one parameter.
+            change: derivative of what is missing at it in the other one.
+            error: of that.
+        """
+        at = self.evaluate(self.unknowns(orbit.start, orbit.length, orbit.values)[None])
+        try:
+            row = np.linalg.solve(at.slopes[0].T, np.eye(len(change))[-1]) * self._size[-1]
+        except np.linalg.LinAlgError:
+            return np.nan, np.nan
+        return float(-row @ change), float(np.abs(row) @ error)
+
     def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
         """What is missing to an orbit, derivatives of each arc, and those of all in the unknowns."""
         start, length, values = self.parts(z)

@@ -91,11 +91,11 @@ def orbit_motions(
     """
     isolated = [True] * len(orbits) if isolated is None else isolated
     at, cuts = np.concatenate(orbits), np.cumsum([len(orbit) for orbit in orbits])[:-1]
-    column, column_error = _difference(lambda s: np.asarray(shifted(name, s, at).image), scale, wrap)
+    column, column_error = difference(lambda s: np.asarray(shifted(name, s, at).image), scale, wrap)
     each = zip(blocks, np.split(column, cuts), isolated, strict=True)
     moved = np.concatenate([_motion(block, part) if moves else np.zeros_like(part) for block, part, moves in each])
-    matrices = _difference(lambda s: np.asarray(shifted(name, s, at + s * moved).monodromy), scale)
-    times = _difference(lambda s: np.asarray(time(name, s, at + s * moved)), scale) if time else None
+    matrices = difference(lambda s: np.asarray(shifted(name, s, at + s * moved).monodromy), scale)
+    times = difference(lambda s: np.asarray(time(name, s, at + s * moved)), scale) if time else None
     parts = [np.split(x, cuts) for x in (column, column_error, moved, *matrices, *(times or ()))]
     return [OrbitMotion(*leaves) for leaves in zip(*parts, strict=True)]
 
@@ -193,7 +193,7 @@ def _largest(left: np.ndarray, errors: np.ndarray, right: np.ndarray) -> float:
     return float(np.einsum("ni,nij,nj->", np.abs(left), errors, np.abs(right)))
 
 
-def _difference(
+def difference(
     function: Callable[[float], np.ndarray], scale: float, wrap: Wrap | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the derivative at zero of an array of numbers, and its error.
