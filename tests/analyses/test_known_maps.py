@@ -111,6 +111,29 @@ def test_largest_exponent_of_henon():
     assert error < 0.01
 
 
+TURNING = """
+import jax.numpy as jnp
+
+
+def system(turn=2.0):
+    def image(s):
+        angle, x = s
+        return angle + turn, x * jnp.exp(0.2 * jnp.cos(angle) - 0.1)
+
+    return {"map": image, "coordinates": ("angle", "x"), "angles": ("angle",)}
+"""
+
+
+@pytest.mark.parametrize("periods", [32 * 64, 32 * 61])
+def test_exponents_of_a_turning_map(periods):
+    """0 and −0.1, the mean of 0.2 cos φ − 0.1 over a turn: smooth averages, of eight iterates at once or of each."""
+    config = f"sweep: {{turn: {{values: [2.0, 2.4]}}}}\nanalyses: {{lyapunov: {{periods: {periods}}}}}"
+    data = groups_of(TURNING, "initial: {angle: 0.1, x: 0.0}\n" + config)["lyapunov"]
+    off = np.abs(data["exponents"].to_numpy() - (0.0, -0.1))
+    assert np.all(off <= data["exponents_error"].to_numpy())
+    assert np.all(data["exponents_error"].to_numpy() < 1e-8)
+
+
 def test_angles_wrap():
     config = "initial: {angle: 1.0, momentum: 0.5}\nsweep: {k: {values: [10.0]}}\n"
     data = groups_of(known_maps.STANDARD, config + "analyses: {poincare: {transient: 0, strobes: 16}}")["poincare"]

@@ -8,7 +8,7 @@ the flow is integrated by itself, by Gauss–Legendre quadrature, where it is as
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, Link, keep_all
 from jaxnh.analyses.options.base import BLOCKS
-from jaxnh.analyses.smooth_window import DEGREE, moment_weights
+from jaxnh.analyses.smooth_window import DEGREE, half_window_weights, moment_weights
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.build import cut_strobe, maps_between, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
@@ -40,6 +40,7 @@ LARGEST_LOSS = 18.0
 """A tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left."""
 
 _AS_LOSS = LARGEST_LOSS / 300.0  # of a logarithm of growth: the square of e^354 is no number
+_ITERATES = 8  # of a map, at most, that have one weight in the sums that tell a drift
 _KICKS_A_NODE = 4  # of the map: its own error, a processed one's too, is larger than that of a step of ten kicks
 
 
@@ -196,7 +197,7 @@ def advance_turns(
 
 
 def _advance_each(strobes: ReturnMap, growth: TangentState, p: Parameters, count: Array) -> TangentState:
-    return advance(strobes, None, count, 0.0, growth, p)
+    return advance(strobes, None, count, None, growth, p)
 
 
 def begin(flow: Flow, state: State, k: int) -> TangentState:
@@ -211,11 +212,11 @@ def advance(
     strobes: ReturnMap,
     quadrature: Quadrature | None,
     count: ArrayLike,
-    first: ArrayLike,
+    first: ArrayLike | None,
     growth: TangentState,
     p: Parameters,
 ) -> TangentState:
-    """Advance one lane by `count` periods, its sums begun anew."""
+    """Advance one lane by `count` periods, its sums begun anew, without smooth ones where no share is `first`."""
     zeros = jax.tree.map(jnp.zeros_like, growth[2:])
     growth = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]))
     # Where the divergence is a derivative more, it serves the sum rule, and says where the map loses rank.
@@ -243,19 +244,51 @@ def advance(
         volume = growth.volume + pushed.log_volume if wanted else growth.volume
         return growth._replace(state=pushed.state, tangents=tangents, logs=logs, volume=volume, loss=loss), None
 
-    def period(i: Array, growth: TangentState) -> TangentState:
+    def period(growth: TangentState) -> TangentState:
         after, _ = lax.scan(part, growth, strobes)
-        grown = [new - old for new, old in zip((*after.logs, after.volume), (*growth.logs, growth.volume), strict=True)]
-        at = first + (jnp.float64(i) + 0.5) / (jnp.float64(count) * BLOCKS)
-        smooth = tuple(
-            tuple(sum_ + weight * g for sum_, g in zip(sums, grown, strict=True))
-            for weight, sums in zip(moment_weights(at), growth.smooth, strict=True)
-        )
         if quadrature is not None:
             after = after._replace(divergence=growth.divergence + _divergence(quadrature, growth.state, p))
-        return after._replace(smooth=smooth)
+        return after
 
-    return lax.fori_loop(0, count, period, growth)
+    if first is None:
+        return lax.fori_loop(0, count, lambda _, growth: period(growth), growth)
+
+    def shares(i: Any, n: ArrayLike) -> Any:
+        """The middle of stretch i of n in the whole average."""
+        return first + (i + 0.5) / (jnp.float64(n) * BLOCKS)
+
+    def with_sums(before: TangentState, after: TangentState, weights: Mapping[int, Array]) -> TangentState:
+        """A later state with what has grown in some of its smooth sums, by the weight of each."""
+        grown = [new - old for new, old in zip((*after.logs, after.volume), (*before.logs, before.volume), strict=True)]
+        smooth = list(after.smooth)
+        for k, weight in weights.items():
+            smooth[k] = tuple(sum_ + weight * g for sum_, g in zip(smooth[k], grown, strict=True))
+        return after._replace(smooth=tuple(smooth))
+
+    if system.continuous:
+        return lax.fori_loop(
+            0,
+            count,
+            lambda i, growth: with_sums(
+                growth, period(growth), dict(enumerate(moment_weights(shares(jnp.float64(i), count))))
+            ),
+            growth,
+        )
+    # An iterate of a map costs less than all sums and weights: those of higher powers, which tell a drift, are of
+    # several iterates at once, and weights are made for these together.
+    together = jnp.gcd(jnp.int32(count), _ITERATES)
+
+    def iterates(i: Array, growth: TangentState) -> TangentState:
+        whole, half = half_window_weights(shares(jnp.float64(i * together) + jnp.arange(float(_ITERATES)), count))
+
+        def iterate(j: Array, growth: TangentState) -> TangentState:
+            return with_sums(growth, period(growth), {0: whole[j], DEGREE + 1: half[j]})
+
+        after = lax.fori_loop(0, together, iterate, growth)
+        weights = moment_weights(shares(jnp.float64(i), count // together))
+        return with_sums(growth, after, {k: weights[k] for k in range(1, DEGREE + 1)})
+
+    return lax.fori_loop(0, count // together, iterates, growth)
 
 
 def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
