@@ -1017,7 +1017,10 @@ KINDS = {
 DRAWN = ("a right-hand side with a clock", "two axes", "a start axis")
 """Kinds whose groups are drawn as well, each in the cell of its own analysis, if there is one."""
 
-DEAR = ("doubling", "windows", "branches", "basins", "orbits", "covariant", "transients", "edges")
+DEAR = (
+    *("lyapunov", "verdict", "doubling", "windows", "branches", "basins", "orbits", "covariant", "transients"),
+    *("manifolds", "edges"),
+)
 BROTHERS = {
     "steps of a lane's own": ("a right-hand side with a clock",),
     "a right-hand side with jumps on a section": ("a right-hand side with jumps", "a right-hand side on a section"),
@@ -1028,6 +1031,8 @@ BROTHERS = {
     ),
     "T, Q, f without a clock": ("a right-hand side on a section", "T, Q, f with a constraint that is eliminated"),
     "no forcing, on a section": ("a right-hand side on a section", "the particle, disturbed"),
+    "the free particle": ("a right-hand side with a clock", "the particle, disturbed"),
+    "a shared axis": ("a right-hand side with a clock", "two axes"),
 }
 """Kinds that join what others have, whose cells of `DEAR` analyses take seconds each and are slow."""
 

@@ -9,6 +9,7 @@ from scipy.optimize import fsolve
 
 from tests.flows.written_out import experiment, line
 from tests.helpers.attractors import changes, kinds
+from tests.helpers.cases import some_slow
 from tests.helpers.kept_programs import session_of
 
 FOLD = 2 / (3 * np.sqrt(3))
@@ -56,20 +57,22 @@ def test_rest_points_that_are_there_along_the_whole_axis(tmp_path):
     assert attractors.sizes["change"] == 0
 
 
-def test_pitchfork(tmp_path):
+@pytest.mark.parametrize(
+    "mu", some_slow({"up": np.linspace(-0.5, 0.5, 6), "mixed": np.array([0.3, -0.5, 0.5, -0.3, -0.1, 0.1])}, "mixed")
+)
+def test_pitchfork(tmp_path, mu):
     """x' = μ x − x³: the middle one gives way to twins, none of which is it, whichever way the axis goes."""
-    for mu in (np.linspace(-0.5, 0.5, 6), np.array([0.3, -0.5, 0.5, -0.3, -0.1, 0.1])):
-        sweep = {"mu": {"values": mu.tolist()}, "x": {"values": [-1.0, 0.5, 1.5]}}
-        attractors, _ = attractors_of(tmp_path, ("x",), "mu * x - x**3,", sweep, parameters="mu=0.0")
-        x = attractors["x"].values
-        assert x.shape == (6, 3)
-        assert np.array_equal(np.isfinite(x), np.array([mu < 0, mu > 0, mu > 0]).T)
-        up = mu > 0
-        np.testing.assert_allclose(x[up][:, 1:], np.sqrt(mu[up])[:, None] * [1, -1], atol=1e-8)
-        expected = [("birth", 2), ("birth", 3), ("death", 1)]
-        assert [one[:2] for one in changes(attractors, "mu")] == expected
-        for *_, at, error in changes(attractors, "mu"):
-            assert (at, error) == (pytest.approx(0.0, abs=1e-15), pytest.approx(0.1))
+    sweep = {"mu": {"values": mu.tolist()}, "x": {"values": [-1.0, 0.5, 1.5]}}
+    attractors, _ = attractors_of(tmp_path, ("x",), "mu * x - x**3,", sweep, parameters="mu=0.0")
+    x = attractors["x"].values
+    assert x.shape == (6, 3)
+    assert np.array_equal(np.isfinite(x), np.array([mu < 0, mu > 0, mu > 0]).T)
+    up = mu > 0
+    np.testing.assert_allclose(x[up][:, 1:], np.sqrt(mu[up])[:, None] * [1, -1], atol=1e-8)
+    expected = [("birth", 2), ("birth", 3), ("death", 1)]
+    assert [one[:2] for one in changes(attractors, "mu")] == expected
+    for *_, at, error in changes(attractors, "mu"):
+        assert (at, error) == (pytest.approx(0.0, abs=1e-15), pytest.approx(0.1))
 
 
 @pytest.mark.slow

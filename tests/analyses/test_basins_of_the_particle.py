@@ -10,7 +10,7 @@ from jaxnh.engine.experiment import Experiment
 from tests.helpers import taylor
 from tests.helpers.kept_programs import session_of
 
-SIDE = 45  # 2,025 starts
+SIDE = 31  # 961 starts
 TRANSIENT, LAST, LIMIT = 400, 24, 12
 
 

@@ -99,6 +99,7 @@ def kinds_of(data):
     return [CURVE_KINDS[kind] for kind in data["kind"].values]
 
 
+@pytest.mark.slow  # `test_bars_of_curves` has both kinds
 def test_amplitudes_of_hopfs_normal_form(tmp_path):
     """The radius is √(μ/ν), which any function of length one has as its largest value: straight lines μ = c² ν."""
     options = "n_values: 1, ds_max: 0.2, maximum: {height: 0.7}, minimum: {y: -0.75}"

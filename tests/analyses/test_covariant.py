@@ -129,6 +129,7 @@ def suspended_cat(speed=0.3):
     }
 
 
+@pytest.mark.slow  # a linear flow and Lorenz are quick, and the matrix has clocks
 def test_the_cat_suspended_in_a_flow():
     """Its vectors are at right angles and grow by the golden mean squared a period, whatever the field does between."""
     session = jaxnh.Session(suspended_cat, start={"x": 1.0, "z": 0.3}, target=1e-7)

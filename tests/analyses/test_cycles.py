@@ -53,6 +53,7 @@ def tree_of(folder, text, initial, sweep, options, section=""):
     return session_of(jaxnh.load(folder / "flow.yaml")).tree()
 
 
+@pytest.mark.slow  # collocation of this branch is quick, and so are its doublings
 def test_doubling_of_roessler_by_collocation(tmp_path):
     """Where heyoka has it, within its error; the branch goes from end to end of the sweep."""
     section = "section: {coordinate: v, value: 0.0, direction: up}\n"

@@ -58,7 +58,8 @@ def orbit_by_scipy(name, number, value):
     return period, np.linalg.eigvals(end[d : d + d * d].reshape(d, d)), end[-1] / period
 
 
-@pytest.mark.parametrize("target", some_slow({"1e-6": 1e-6, "1e-8": 1e-8}, "1e-6"))
+@pytest.mark.slow  # Newton on sections is quick, and so are the spectra of another cell
+@pytest.mark.parametrize("target", [1e-6, 1e-8])
 def test_the_orbit_of_hodgkin_and_huxley(session_at, target):
     """Its period within the target, which is of one return, and its largest multiplier, by scipy's DOP853 at 1e-12.
 
@@ -75,6 +76,7 @@ def test_the_orbit_of_hodgkin_and_huxley(session_at, target):
     assert abs(float(orbit["multiplier"]) - across) < 100.0 * target
 
 
+@pytest.mark.slow  # sums of exponents of other flows are quick
 def test_the_exponents_of_hodgkin_and_huxley(session_at):
     """One that is known to be zero, and the mean divergence over the cycle as the sum of all."""
     _, _, divergence = orbit_by_scipy("hodgkin_huxley", 0, 0.0)

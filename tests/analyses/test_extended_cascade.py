@@ -98,8 +98,12 @@ def test_next_doublings(points):
     compiled = jax.jit(lambda hidden, u, w, p: extend_precision(plain, hidden)(u, w, p))
 
     def period(u, w, value):
+        """One program for all levels: points are padded to those of the last."""
+        count, rest = len(u[0]), ((0, 2**LEVELS - len(u[0])), (0, 0))
+        u, w = ([np.pad(half, rest) for half in pair] for pair in (u, w))
         a = Double(*(np.full_like(u[0], half) for half in value))
-        return tuple(map(tuple, compiled(np.int64(0), Double(*u), Double(*w), {"a": a})))
+        image = compiled(np.int64(0), Double(*u), Double(*w), {"a": a})
+        return tuple(tuple(half[:count] for half in pair) for pair in image)
 
     def slopes(u, values):
         a = values[:, None]

@@ -117,6 +117,7 @@ def test_a_saddle_focus(tmp_path):
 FITZHUGH = "{box: {u: [-0.4, 1.1], v: [-0.3, 0.3], w: [-0.05, 0.15]}, n_starts: 8, n_values: 1, duration: 150, STEPS}"
 
 
+@pytest.mark.slow  # fronts and a loop in the plane are quick
 @pytest.mark.usefixtures("uncalibrated")
 def test_a_pulse_of_fitzhugh_and_nagumo(tmp_path):
     """The fast pulse, which in its tail parts from its neighbours beyond the digits of c."""
@@ -172,7 +173,7 @@ def from_cycles_alone(*arguments):
         return result_of(*arguments)["homoclinic"].to_dataset()
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("uncalibrated", "quick_compiling_once")
 def test_a_planar_loop_from_its_cycles(tmp_path):
     """mt = 0 at every a, within the errors, from cycles that a Hopf bifurcation begins; the saddle quantity is 2a."""
     options = "{box: {x: [0.3, 1.0], y: [-0.3, 0.3]}, n_starts: 8, n_values: 1, cycles: 1, ds_max: 0.25}"

@@ -175,6 +175,7 @@ def test_neimark_sacker_of_the_delayed_logistic_map():
     )
 
 
+@pytest.mark.slow  # `orbits/test_curves` has these curves, and the matrix the analysis
 def test_curves_of_henon():
     """a = −(1 − b)²/4 for folds of fixed points, 3 (1 − b)²/4 for their doublings, over the whole plane."""
     config = "initial: {x: 0.1}\nsweep: {a: {start: -0.3, stop: 0.5, count: 9}, b: {start: 0.1, stop: 0.4, count: 4}}\n"

@@ -94,6 +94,7 @@ def test_stuart_landau_with_shear(tmp_path):
     holds(data, "y_response", (np.cos(phase) - SHEAR * np.sin(phase)) / radius)
 
 
+@pytest.mark.slow  # a cycle with shear is quick
 def test_poincares_oscillator(tmp_path):
     """Isochrons are radii: a small kick along x moves the phase by −sin φ of it, however fast the cycle attracts."""
     data = responses(tmp_path, POINCARE, "rate: {values: [0.5, 20.0]}")
@@ -128,6 +129,7 @@ def shares_covered_of_bent_cycles(folder, sweep):
     return {name: np.mean(ratios[name] <= errors[name]) for name in exact}, max(e.max() for e in errors.values())
 
 
+@pytest.mark.slow  # bars cover closed forms in quick tests of straight ones
 def test_bars_of_bent_cycles(tmp_path):
     sweep = "mu: {values: [0.3, 0.9]}, shear: {values: [0.5]}, bend: {values: [0.0, 0.8]}"
     shares, largest = shares_covered_of_bent_cycles(tmp_path, sweep)

@@ -75,13 +75,13 @@ def test_few_lanes_choose_nothing():
 @pytest.mark.slow
 @pytest.mark.parametrize("random", [False, True])
 def test_basins_are_those_of_all_steps(tmp_path, random):
-    """129 x 129 starts over the box, and as many random ones: the same attractors, more than 999 of 1,000 starts alike."""
-    axis = {"start": -4.0, "stop": 4.0, "count": 129}
+    """65 x 65 starts over the box, and as many random ones: the same attractors, more than 999 of 1,000 starts alike."""
+    axis = {"start": -4.0, "stop": 4.0, "count": 65}
     system = {"constraint": "constant_speed", "a": 0.5, "c": 1.0, "omega": 1.0}
     content = {"system": {**system, "b": B}, "initial": {"x2": 0.1}, "sweep": {"x1": axis, "y1": axis}}
     content |= {"accuracy": {"target": TARGET}, "analyses": {"basins": {}}}
     if random:
-        basins = {"n_starts": 129**2, "box": {"x1": [-4.0, 4.0], "y1": [-4.0, 4.0]}}
+        basins = {"n_starts": 65**2, "box": {"x1": [-4.0, 4.0], "y1": [-4.0, 4.0]}}
         content |= {"sweep": {"b": {"values": [B]}}, "system": system, "analyses": {"basins": basins}}
         content |= {"initial": {"x1": 0.0, "x2": 0.1, "y1": 0.0}}
     tree = session_of(Experiment.from_dict(content)).tree()

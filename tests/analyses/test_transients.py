@@ -270,6 +270,7 @@ def moved_baker(repetition=0.0):
     }
 
 
+@pytest.mark.slow  # a flow with a saddle and a map with two exponents are quick
 def test_a_flow_with_two_exponents():
     """κ = ln(3/2), λ = ln 3 and −ln 4, D = ln 2/ln 3 + ln 2/ln 4, of a square that is folded as it moves."""
     options = jaxnh.Transients(n_starts=2048, box={"x": (0.0, 1.0), "z": (0.0, 1.0)}, saddle_points=64)

@@ -280,6 +280,7 @@ def system(swing=0.5, damping=0.0, pivot=0.4, reach=1.0):
 """
 
 
+@pytest.mark.slow  # a snakeboard speeds up in a quick test, and `test_transport` has growth
 def test_a_roller_racer_whose_angle_is_given_speeds_up_for_ever():
     """Bizyaev, Borisov and Mamaev (Regul. Chaotic Dyn. 23 (2018) 983), as commonly quoted.
 
@@ -409,6 +410,7 @@ def test_a_rattleback_turns_back_in_both_senses_sooner_in_one():
     assert 0.0 < turned[0] < 5.0 < turned[1] < 20.0
 
 
+@pytest.mark.slow  # its equations and a vehicle that moves are quick
 def test_a_sleigh_with_friction_is_driven_one_way_by_small_oscillations_and_chaotically_by_large_ones():
     """Bizyaev, Borisov and Kuznetsov (arXiv 1807.06340), abstract: the speed of the first is stabilised by friction."""
     groups = of_config(

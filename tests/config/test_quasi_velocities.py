@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxnh
-from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.start_states import put_on_level
 from jaxnh.exceptions import ConfigError
@@ -144,7 +143,7 @@ def energy(state, mass, gravity):
 
 
 @pytest.mark.parametrize("units", some_slow({"20": 20, "1000": 1000}, "20"))
-def test_energy_of_a_rolling_body(units):
+def test_energy_of_a_rolling_body(lanes, units):
     """It stays, and the vertical's length with it: order eight, steps of 1/64, a few 1e-15 a unit of time."""
     flow = lagrangian(pebble, {"mass": 1.4, "gravity": 0.9}, ("mass",))
     one = np.ones(3)
@@ -153,7 +152,7 @@ def test_energy_of_a_rolling_body(units):
     )
     mass = np.array([1.0, 1.4, 2.0])
     strobe = make_return_map(flow, dopri8, 64)
-    end = LaneExecutor()(iterate, (strobe, np.int32(units)), (start, {"mass": mass}))
+    end = lanes(iterate, (strobe, np.int32(units)), (start, {"mass": mass}))
     assert np.abs(np.sum(np.square(end.q), axis=0) - 1).max() < 1e-14
     before, after = (energy(state, mass, 0.9) for state in (start, end))
     assert np.abs(after - before).max() < 1e-10
@@ -217,7 +216,8 @@ def test_wrong_levels(tmp_path, sweep, more, message):
     assert "\n" not in str(refused.value)
 
 
-def test_steps_stay_on_a_level():
+@pytest.mark.usefixtures("quick_compiling_once")
+def test_steps_stay_on_a_level(lanes):
     """Long steps of low order leave it by 1e-3 and more, but for the projection; of it two steps of Newton leave rounding."""
     flow = on_level(lagrangian(pebble, {"mass": 1.4, "gravity": 0.9}, ("gravity",)), {"energy": 3.0}, ("energy",))
     assert (flow.lane_parameters, flow.exponents) == (("gravity", "energy"), 4)
@@ -225,10 +225,10 @@ def test_steps_stay_on_a_level():
     levels, strobe = np.array([3.0, 5.0]), make_return_map(flow, tsit5, 4)
     (start, reached) = put_on_level(off_level(flow), jax.tree.map(lambda x: np.full(2, x), start), {}, "energy", levels)
     assert reached.all()
-    end = LaneExecutor()(iterate, (strobe, np.int32(20)), (start, {"gravity": np.full(2, 0.9), "energy": levels}))
+    end = lanes(iterate, (strobe, np.int32(20)), (start, {"gravity": np.full(2, 0.9), "energy": levels}))
     assert np.abs(energy(end, 1.4, 0.9) - levels).max() < 1e-13
     free = make_return_map(off_level(flow), tsit5, 4)
-    end = LaneExecutor()(iterate, (free, np.int32(20)), (start, {"gravity": np.full(2, 0.9), "energy": levels}))
+    end = lanes(iterate, (free, np.int32(20)), (start, {"gravity": np.full(2, 0.9), "energy": levels}))
     assert np.abs(energy(end, 1.4, 0.9) - levels).min() > 1e-4
 
 

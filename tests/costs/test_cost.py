@@ -77,7 +77,7 @@ def test_solvers_of_a_users_system():
     assert not set(names) & set(SPLITTINGS)
 
 
-@pytest.mark.usefixtures("quickly_uncalibrated")
+@pytest.mark.usefixtures("quickly_uncalibrated", "quick_compiling_once")
 def test_both_forms_of_a_step(tmp_path):
     """Without a clock they are all that is priced: compiling apart, the run for this sweep and for larger ones."""
     path = tmp_path / "lorenz_cost.h5"

@@ -303,6 +303,7 @@ def two_wells(a=0.4):
     return {"map": lambda y: ((1.0 + a) * y[0] - y[0] ** 3, 0.5 * y[1]), "coordinates": ("x", "y")}
 
 
+@pytest.mark.usefixtures("quick_compiling_once")
 def test_programs_are_those_without_covariant_edges_transients_and_rotation():
     """What they need comes beside the programs that are compiled without them, and changes none of these."""
     poincare = {"poincare": {"transient": 1, "strobes": 4}}

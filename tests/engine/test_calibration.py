@@ -178,7 +178,7 @@ def test_a_section_over_an_axis_that_lanes_share():
     assert float(abs(found["x2"] ** 2 + found["y2"] ** 2 - found["c"]).max()) < 1e-12  # splittings turn a unit vector
 
 
-@pytest.mark.parametrize("analysis", ["diagram", "basins"])
+@pytest.mark.parametrize("analysis", [pytest.param("diagram", marks=pytest.mark.slow), "basins"])
 def test_random_starts_are_among_the_samples(analysis):
     """Far beyond the start of the lanes, where their own steps are far too few.
 

@@ -65,6 +65,7 @@ def test_a_stiff_flow_is_followed_unasked(lanes):
         assert abs(float(x) - known) < plan.error_estimate * plan.sizes[name]
 
 
+@pytest.mark.slow  # fast lanes beside slow ones, and this flow without a section, are quick
 def test_lanes_that_common_steps_lose_are_no_lanes_that_escape(lanes):
     """Van der Pol at μ = 50 beside 200: the return time of the stiffer lane, 323.91604, by heyoka between its events."""
 

@@ -303,7 +303,7 @@ def written(experiment, path, check=lambda: None, **how):
 
 
 @pytest.mark.usefixtures("any_size")
-@pytest.mark.parametrize("kind", some_slow({kind: kind for kind in SWEEPS}, "clock", "two axes"))
+@pytest.mark.parametrize("kind", some_slow({kind: kind for kind in SWEEPS}, "two axes"))
 def test_files_are_the_same_in_parts_and_resumed(kind, tmp_path):
     """Whatever runs are cut into, each lane keeps its class and its bits."""
     experiment = SWEEPS[kind]()

@@ -58,6 +58,7 @@ def test_quantities_are_those_that_go_with_the_system_those_asked_for_first():
     assert list(live(asked, NullProgress(), COLUMNS).variables) == ["period", "verdict", "lyapunov", "chaos01"]
 
 
+@pytest.mark.slow  # a click on a map is quick, and the matrix has exponents and portraits in time alone
 def test_a_flow_without_clock_and_section_has_exponents_and_a_portrait():
     """A click gives what goes without strobe points; exponents add up to the divergence, a constant."""
     sweep = "sweep={rho: {start: 20, stop: 30, count: 4}, sigma: {start: 9, stop: 11, count: 4}}"

@@ -183,7 +183,7 @@ def test_deep_in_the_cascade_of_the_governor(battery):
 
     Those are δ⁻ⁿ and α⁻ⁿ of n levels, and extrapolation takes out these at least; see `tests.analyses.test_extended_cascade`.
     """
-    levels = 16 if battery.full else 12
+    levels = 16 if battery.full else 10
     asked = ["sweep.drive.start=0.83", "accuracy.target=1e-3", "accuracy.precision=extended"]
     asked.append(f"analyses={{doubling: {{levels: {levels}}}}}")
     data = jaxnh.Session(jaxnh.load(ROOT / "configs/governor.yaml", asked)).run("doubling")
@@ -205,7 +205,7 @@ def test_deep_in_the_cascade_of_the_particle(battery, flow):
     it. Its correction of δ⁻¹⁶ is 1e-11, and of widths that of α⁻¹⁶ is 4e-7; extrapolation takes out these and more.
     Of fewer levels errors may be larger by as much as these corrections are.
     """
-    levels = 16 if battery.full else 12
+    levels = 16 if battery.full else 10
     asked = ["accuracy.target=1e-6", "accuracy.precision=extended", f"analyses={{doubling: {{levels: {levels}}}}}"]
     data = jaxnh.Session(jaxnh.load(ROOT / f"configs/{flow}.yaml", asked)).run("doubling")
     assert data["levels_found"] == levels

@@ -186,6 +186,7 @@ def test_volume_shrinks_by_the_divergence(par):
 # Doublings
 
 
+@pytest.mark.slow  # quick tests of doublings use it
 def test_orbit_at_a_doubling_has_multiplier_minus_one(doublings):
     """Closure and monodromy matrix of the orbit of period 2, from DOP853 alone."""
     b, _, info = doublings[1]

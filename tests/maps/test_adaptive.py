@@ -204,6 +204,7 @@ def test_a_stiff_linear_system_in_closed_form():
     assert abs(float(pushed.log_volume) - rates.sum() * length) < 1e-9  # a constant is integrated to rounding
 
 
+@pytest.mark.slow  # tangents are derivatives of the map in a quick test
 def test_multipliers_of_a_cycle_are_the_integral_of_the_divergence():
     """On van der Pol's cycle one multiplier is 1, and the other is exp ∮ μ (1 − x²) dt, which Radau integrates too."""
     mu = 5.0

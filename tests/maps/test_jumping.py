@@ -22,7 +22,6 @@ from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.flow import CHATTERING
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
-from tests.helpers.cases import some_slow
 from tests.helpers.one_lane import image_after, state_after, states_after
 
 pytestmark = pytest.mark.usefixtures("quick_compiling", "one_core")
@@ -226,20 +225,19 @@ def test_volume_is_the_determinant(name):
 # ---- exponents
 
 
-def test_exponents_of_the_impact_oscillator(lanes):
+@pytest.mark.parametrize(("w", "known"), [(2.0, -0.0710287984), pytest.param(2.5, -0.0887860, marks=pytest.mark.slow)])
+def test_exponents_of_the_impact_oscillator(w, known):
     """Two periodic motions, whose exponents are ln r times the rate of impacts: one impact a period, or in two or three."""
-    del lanes
-    for w, known in ((2.0, -0.0710287984), (2.5, -0.0887860)):
-        found = jaxnh.Session(impact, start={"x": -1.0}, target=1e-9, parameters={"w": w}).run(
-            jaxnh.Lyapunov(transient=500, periods=500)
-        )
-        assert found["exponents"].to_numpy().ravel() == pytest.approx([known, known], abs=1e-7)
+    session = jaxnh.Session(impact, start={"x": -1.0}, target=1e-9, parameters={"w": w})
+    found = session.run(jaxnh.Lyapunov(transient=500, periods=500))
+    assert found["exponents"].to_numpy().ravel() == pytest.approx([known, known], abs=1e-7)
 
 
 CHAOS = {2.8: (0.1424, -0.2103), 2.85: (0.2152, -0.2430)}  # of 24,000 periods by `impact_exponents`, ± 0.002
 
 
-@pytest.mark.parametrize("w", some_slow({str(w): w for w in CHAOS}, "2.8"))
+@pytest.mark.slow  # exponents of periodic motions with impacts are quick
+@pytest.mark.parametrize("w", CHAOS)
 def test_chaos_of_the_impact_oscillator(w):
     """The largest exponent and the sum, which is 2 ln r times the rate of impacts."""
     session = jaxnh.Session(impact, target=1e-9, parameters={"w": w})
@@ -423,6 +421,7 @@ def test_order_of_convergence_at_corners():
         assert order > solver.convergence_order - 0.7, (solver.name, errors)
 
 
+@pytest.mark.slow  # `test_a_target_that_corners_had_refused` is quick
 def test_a_target_is_met_at_corners(lanes):
     """1e-10 of the size of the motion, where steps over the corners come down to 1e-8 by the most there can be."""
     system = piecewise_smooth(chua_circuit, {"alpha": 9.0})

@@ -52,6 +52,7 @@ def test_crossings_between_events(name, value):
     assert np.abs(states - [y for _, y in known]).max() < 1e-9 * np.abs(states).max()
 
 
+@pytest.mark.slow  # those of jumps without a section are quick, and the matrix has Newton on one
 def test_derivatives_on_a_section():
     """By differences of the map, whose error is h²; the volume is the determinant in time shared among returns."""
     section = circuit_on_section("chua")

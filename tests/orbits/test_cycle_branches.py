@@ -24,6 +24,7 @@ from jaxnh.systems.first_order import first_order
 from tests.flows.hopf_normal_form import OMEGA, hopf
 from tests.flows.lorenz import PARAMETERS, lorenz
 from tests.flows.roessler import doubling_of_roessler
+from tests.helpers.cases import some_slow
 from tests.helpers.cycle_problems import first_cycle, problem_of
 from tests.helpers.homoclinic_orbit import homoclinic_orbit
 
@@ -121,7 +122,7 @@ def imperfect(break_):
     return system
 
 
-@pytest.mark.parametrize("break_", [1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize("break_", some_slow({"1e-4": 1e-4, "1e-6": 1e-6, "1e-8": 1e-8}, "1e-8"))
 def test_branch_of_cycles_stays_on_its_side_of_an_imperfect_pitchfork(break_):
     """From μ = 0.4 down, on either side of z = 0: one curve goes on to small z, the other turns, ε^(1/3) apart."""
     problem = problem_of(first_order(imperfect(break_), {"mu": 0.4}, ("mu",)), ("mu",), (1.0, 1.0, 1.0), (1.0,))
@@ -235,6 +236,7 @@ def homoclinic_of_lorenz():
     return 0.5 * (low + high)
 
 
+@pytest.mark.slow  # `test_connections` has it, and one in closed form is quick
 def test_homoclinic_orbit_of_lorenz():
     """The value of rho by bisection of where the unstable manifold goes, with meshes and durations of several sizes."""
     problem, branch = lorenz_branch(56)

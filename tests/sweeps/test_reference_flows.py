@@ -43,6 +43,7 @@ def table(folder):
         return data.load()
 
 
+@pytest.mark.slow  # runs that go on have a table, too
 def test_table_and_page(study, tmp_path):
     """Against closed forms: ln 2, a divergence of zero, the sum of Roessler's exponents, and a flow that is refused."""
     reference_flows.main([])

@@ -120,6 +120,7 @@ def disk(gravity=1.0):
     return rolling_body(rim, 2.0, ((0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 1.0)), gravity)
 
 
+@pytest.mark.slow  # the lateral force of a sleigh and that of a bead on a wire are quick
 def test_the_contact_force_of_a_rolling_disk():
     """Newton's law with the height and the velocity of its centre, by differences: N = m (g + ḧ), and the friction."""
     start = {"g1": np.sin(1.1), "g3": np.cos(1.1), "w1": 0.2, "w2": -0.3, "w3": 1.5}

@@ -18,6 +18,7 @@ from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.switched_mechanics import switched_mechanics
 from tests.flows import switched_sleighs
 from tests.flows.switched_sleighs import TURN, flow_of
+from tests.helpers.cases import some_slow
 from tests.helpers.one_lane import states_after
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")
@@ -56,7 +57,7 @@ def test_a_blade_that_comes_and_goes(kind):
     assert kind is switched_sleighs.by_clock or times >= 2
 
 
-@pytest.mark.parametrize("kind", STATES)
+@pytest.mark.parametrize("kind", some_slow({kind.__name__: kind for kind in STATES}, "by_place"))
 def test_derivatives_of_a_blade_that_comes_and_goes(kind):
     """Saltation matrices, and derivatives in the parameters, by differences of the motion from event to event."""
     own = {"a": 0.3, "drive": 1.0}
