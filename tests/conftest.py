@@ -56,11 +56,18 @@ if not importlib.util.find_spec("heyoka"):
 
 from jaxnh.engine.executor.lanes import TILE, LaneExecutor  # noqa: E402
 from jaxnh.engine.progress import Progress  # noqa: E402
+from tests.helpers import kept_programs  # noqa: E402
 from tests.helpers.commands import Command, run_here, run_process  # noqa: E402
 from tests.helpers.kept_calibrations import calibrating_by, once, unless_given  # noqa: E402
-from tests.helpers.kept_programs import lanes_with_kept_programs  # noqa: E402
+from tests.helpers.kept_programs import PaddedToFew, lanes_with_kept_programs  # noqa: E402
 
 pytest_plugins = ["pytester", "tests.helpers.battery", "tests.helpers.parts"]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Few lanes are padded to 32 in quick tests."""
+    if config.getoption("markexpr") == "not slow":
+        kept_programs.executor_of_tests = PaddedToFew
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -106,7 +113,7 @@ def one_core(request: pytest.FixtureRequest) -> Iterator[None]:
     """
 
     def executor(progress: Progress, devices: list[Any], tile: int = TILE) -> LaneExecutor:
-        return lanes_with_kept_programs(progress, devices[:1], tile)
+        return lanes_with_kept_programs(progress, devices[:1], tile, kind=PaddedToFew)
 
     few = executor if request.config.getoption("markexpr") == "not slow" else LaneExecutor
     with mock.patch("jaxnh.engine.session.LaneExecutor", few):

@@ -28,6 +28,7 @@ from jaxnh.systems.particle import constant_speed, disturbed_speed
 from tests.helpers import taylor
 from tests.helpers.batches import batch_of
 from tests.helpers.cases import some_slow
+from tests.helpers.kept_programs import lanes_with_kept_programs
 
 GROWTH_RATES, WITHOUT_PERIOD = jax.jit(chaos01.growth_rates), jax.jit(chaos01.remove_period)
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
@@ -36,6 +37,12 @@ CASES = {
     "constant": (constant_speed(), taylor.Parameters(), {5.8: 1, 2.5: 2, 4.1: 4, 5.3: 0}),
     "disturbed": (disturbed_speed(), taylor.Parameters(d=0.1), {5.9: 1, 2.5: 2, 4.2: 4, 5.6: 0}),
 }
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """For the four lanes of a case."""
+    return lanes_with_kept_programs(None, jax.devices()[:1], 8)
 
 
 @pytest.fixture(scope="module", params=some_slow({name: name for name in CASES}, "disturbed"))
@@ -99,11 +106,10 @@ def test_exponents_of_chaos(case):
 
 
 @pytest.mark.slow
-def test_exponents_of_chaos_over_many_periods(case):
+def test_exponents_of_chaos_over_many_periods(case, lanes):
     """Error bars three times smaller."""
     scene, twin, periods, _, _ = case
     chaotic = scene.take(np.flatnonzero(periods == 0))
-    lanes = LaneExecutor(devices=jax.devices()[:1], tile=8)  # for one lane, which by 256 on each core takes two minutes
     group = lyapunov.run(lyapunov.LyapunovOptions(transient=256, periods=4096), chaotic, lanes)
     check_chaotic_spectrum(chaotic, twin, 0, group, 16, 500)
 

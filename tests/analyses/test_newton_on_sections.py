@@ -179,7 +179,7 @@ def test_branches(flow):
 @FLOW
 def test_curves(flow):
     """The doubling over two parameters, at both ends of the other one."""
-    data, known = found(flow, "curves", plane=True, **LOOK)["curves"], FLOWS[flow]
+    data, known = found(flow, "curves", plane=True, n_values=1, ds=0.1, ds_max=0.25, **LOOK)["curves"], FLOWS[flow]
     other, *ends = known["and"]
     kinds = data["kind"].attrs["flag_meanings"].split()
     assert [kinds[k] for k in data["kind"].to_numpy()] == ["period_doubling"]

@@ -53,7 +53,7 @@ def test_nothing_more_where_it_is_not_asked_for(user_map):
 
 def test_no_derivative_where_the_clock_has_none():
     """Two frequencies of no common period: the disturbed speed at another ω has no map."""
-    accuracy = "accuracy={solver: kahan_li8, steps: 80}"
+    accuracy = "accuracy={solver: blanes_moan6, steps: 60}"
     few = ["analyses={doubling: {levels: 1, sensitivities: true}}", "sweep.b.count=32", accuracy]
     with calibrating_by(unless_given):
         data = session_of(load(ROOT / "configs/table2.yaml", few)).run("doubling")

@@ -18,11 +18,11 @@ from jaxnh.storage.tiles import folder_of
 from tests.helpers.commands import run_here
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("uncalibrated")
+pytestmark = pytest.mark.usefixtures("uncalibrated", "quick_compiling")
 CONFIG = """\
 title: To be looked at
 system: {constraint: disturbed_speed, d: 0.1}
-sweep: {b: {start: 5.2, stop: 5.45, count: 50}}
+sweep: {b: {start: 5.2, stop: 5.45, count: 32}}
 accuracy: {solver: blanes_moan6, steps: 40}
 analyses:
   diagram: {transient: 30, strobes: 3, start: random, n_starts: 2}
@@ -54,12 +54,12 @@ def test_screen(made):
         steps = file.attrs["lane_periods"]
     text = " ".join(run.stdout.split())
     assert "To be looked at" in text
-    assert "50 values of b, from 5.2 to 5.45" in text
+    assert "32 values of b, from 5.2 to 5.45" in text
     assert "blanes_moan6, 40 steps a period, plain sums" in text
     assert f"{steps:,.0f} lane-periods" in text
-    assert f"exponents b 50 × exponent 2 1 {exponents.min():.5g} … {exponents.max():.5g}" in text
-    assert "x1 b 50 × start 2 × strobe" in text
-    assert "status b 50 × start 2 1 100 ok" in text
+    assert f"exponents b 32 × exponent 2 1 {exponents.min():.5g} … {exponents.max():.5g}" in text
+    assert "x1 b 32 × start 2 × strobe" in text
+    assert "status b 32 × start 2 1 64 ok" in text
     assert ", levels_found 1" in text
 
 
@@ -97,14 +97,14 @@ def test_table(made):
     """A row a lane, start and strobe; numbers to the last digit."""
     rows = list(csv.reader(io.StringIO(inspect(made, "--csv", "diagram").stdout)))
     assert rows[0] == ["b", "start", "strobe", "x1", "x2", "y1", "y2", "status"]
-    assert len(rows) == 1 + 50 * 2 * 3
+    assert len(rows) == 1 + 32 * 2 * 3
     with h5py.File(made) as file:
         x1, b = file["diagram/x1"][()], file["diagram/b"][()]
     np.testing.assert_array_equal(np.array([row[3] for row in rows[1:]], float), x1.ravel())
     np.testing.assert_array_equal(np.array([row[0] for row in rows[1:]], float), np.repeat(b, 6))
     rows = list(csv.reader(io.StringIO(inspect(made, "--csv", "lyapunov").stdout)))
     assert rows[0][:4] == ["b", "exponent", "exponents", "exponents_error"]
-    assert len(rows) == 1 + 50 * 2
+    assert len(rows) == 1 + 32 * 2
 
 
 def variable(dims, data, long_name, units="1", **attrs):

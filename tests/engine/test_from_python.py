@@ -69,6 +69,7 @@ def typed(cell):
     return scope
 
 
+@pytest.mark.usefixtures("quick_compiling_once")
 def test_a_function_is_what_a_file_with_it_is(tmp_path):
     """Bit for bit; the text that the result keeps is a file, and the batch job that is saved has the same hash."""
     session = jaxnh.Session(lorenz, start=START, target=1e-6)
@@ -86,6 +87,7 @@ def test_a_function_is_what_a_file_with_it_is(tmp_path):
     assert jaxnh.load(tmp_path / "lorenz.yaml").sha256 == session.experiment.sha256
 
 
+@pytest.mark.usefixtures("quick_compiling_once")
 def test_the_cell_of_a_notebook():
     """One cell, at the first try; growth adds up to −(σ + 1 + β) a time, and a lane alone has no dimension."""
     cell = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -26,22 +27,37 @@ QUICKLY_COMPILED = Programs(
 )
 
 
+class PaddedToFew(LaneExecutor):
+    """Lanes in tiles as users have them, but for few lanes: in tiles of 32, as 256 take several times as long."""
+
+    _FEW = 32
+
+    def _tile(self, shared: Sequence[Any], count: int, tile: int | None) -> int:
+        usual = super()._tile(shared, count, tile)
+        return min(usual, self._FEW) if count <= 2 * self._FEW else usual
+
+
+executor_of_tests: type[LaneExecutor] = LaneExecutor
+"""Of sessions and commands: in quick runs `PaddedToFew`, which `conftest` puts here; slow tests have lanes as users do."""
+
+
 def lanes_with_kept_programs(
     progress: Progress | None = None,
     devices: list[Any] | None = None,
     tile: int = TILE,
     programs: Programs | None = None,
+    kind: type[LaneExecutor] = LaneExecutor,
 ) -> LaneExecutor:
     """Lanes on all devices that find the programs of earlier runs in this process; their keys say all else there is."""
     if programs is None:
         programs = _PROGRAMS[jax.config.read("jax_disable_most_optimizations")]
-    return LaneExecutor(progress, devices, tile, programs)
+    return kind(progress, devices, tile, programs)
 
 
 def session_of(experiment: Experiment) -> Session:
     """A session that finds the programs of earlier ones in this process, on one core: the other would fill up tiles."""
     found = Session(experiment)
-    found._lanes = lanes_with_kept_programs(found._progress, found._lanes.devices[:1])
+    found._lanes = lanes_with_kept_programs(found._progress, found._lanes.devices[:1], kind=executor_of_tests)
     return found
 
 
@@ -50,5 +66,5 @@ class FewLanes(LaneExecutor):
 
     _MANY = 256
 
-    def _tile(self, shared: tuple[Any, ...], count: int, tile: int | None) -> int:
+    def _tile(self, shared: Sequence[Any], count: int, tile: int | None) -> int:
         return tile if tile and tile >= self._MANY else super()._tile(shared, count, tile)
