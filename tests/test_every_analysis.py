@@ -7,8 +7,10 @@ far below what a fault would do. A new analysis is in the table by itself, and f
 
 from __future__ import annotations
 
+import atexit
 import functools
 import re
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -40,6 +42,7 @@ from tests.helpers.kept_programs import QUICKLY_COMPILED, FewLanes, session_of
 pytestmark = pytest.mark.usefixtures("uncalibrated")
 UNSAID = ("mu", "nu")
 FOLDER = Path(tempfile.mkdtemp(prefix="jaxnh_kinds_"))
+atexit.register(shutil.rmtree, FOLDER, ignore_errors=True)
 CLOSE = 1e-6  # what so few steps leave of a period's map, ten times
 LONG_STEPS = {"ds": 0.1, "ds_max": 0.25}  # along curves, which are straight or nearly so
 OPTIONS = {

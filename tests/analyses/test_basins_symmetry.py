@@ -62,6 +62,7 @@ def test_two_phases(tmp_path, coupling, apart):
     assert sorted(tree["attractors"]["fraction"].values) == sorted(shares)
 
 
+@pytest.mark.slow  # two phases without a clock are quick, and the matrix has clocks
 def test_two_phases_with_a_clock(tmp_path):
     """φ' = 1/2 + k sin(2φ − t) for two phases, k < 0: each goes to t/2 or t/2 + π, from where cos φ > 0 or < 0.
 

@@ -253,6 +253,7 @@ def test_one_doubling_of_an_orbit_of_period_two(result):
     assert np.isfinite(doubling(path)["b"].values).all()
 
 
+@pytest.mark.slow  # a first period of two, and doublings beyond the sweep, are quick
 def test_doubling_in_a_wide_bracket(result):
     """Values before and after the doubling 3 → 6 of a window, and nothing between: it is there by the reference."""
     par, ends = taylor.Parameters(omega=0.9), (5.722, 5.7145)

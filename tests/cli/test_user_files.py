@@ -106,7 +106,12 @@ analyses:
             "values: [1.0]",
             "every lane of this sweep has a non-finite state within a period; at g = 1 ",
         ),
-        ("(-0.3 * jnp.sin(q[0]), -0.2 * q[1], -g * q[2] - 0.1 * v[2])", "values: [0.9, 1.0]", "comes down to "),
+        pytest.param(
+            "(-0.3 * jnp.sin(q[0]), -0.2 * q[1], -g * q[2] - 0.1 * v[2])",
+            "values: [0.9, 1.0]",
+            "comes down to ",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             "(-0.3 * jnp.sin(q[0]), -0.2 * q[1], -g * q[2] - 0.1 * v[2])",
             "start: 0.9, stop: 1.0, count: 200",

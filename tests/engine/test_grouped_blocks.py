@@ -126,7 +126,8 @@ def test_what_is_computed_together():
     assert rows_of_batches({"b": B, "omega": omega}, QUICK) == [1, *[2] * 7, 1]
 
 
-@pytest.mark.parametrize("tile", [45, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.slow  # pieces computed together, and files in parts over two axes, are quick
+@pytest.mark.parametrize("tile", [45, 100])
 def test_tiles_of_several_rows(tile):
     """The bits of tiles of one value of d each, wherever a tile ends; an axis of periods that differ has no such tiles."""
     options = {

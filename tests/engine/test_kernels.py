@@ -128,7 +128,7 @@ def particle(analyses, **more):
     ("scene", "names"),
     [
         ("kicks", {"iterate", "derivatives", "record"}),
-        ("section", {"iterate", "record"}),
+        pytest.param("section", {"iterate", "record"}, marks=pytest.mark.slow),
         pytest.param("tangents", {"begin", "advance"}, marks=pytest.mark.slow),
         pytest.param("tables", {"evaluate_block"}, marks=pytest.mark.slow),
     ],

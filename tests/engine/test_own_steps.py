@@ -108,6 +108,7 @@ def test_fast_lanes_that_coarse_steps_lose_are_in_the_calibration(lanes):
     assert abs(times[2] - times[0] / 100.0) < 1.01 * plan.error_estimate * plan.sizes["t"]
 
 
+@pytest.mark.slow  # a stiff flow is followed unasked in a quick test, and `test_corners` has corners
 def test_a_corner_is_followed_unasked(lanes):
     """x'' = −x − rate max(x, 0): half-turns of frequencies 1 below zero and ω = √(1 + rate) above it, in closed form."""
 

@@ -45,7 +45,13 @@ class CountedTiles:
             yield number, results
 
 
-@pytest.mark.parametrize("other", [{"a": {"values": [0.4, 0.5]}}, {"d": {"start": 0.0, "stop": 0.3, "count": 3}}])
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"a": {"values": [0.4, 0.5]}},
+        pytest.param({"d": {"start": 0.0, "stop": 0.3, "count": 3}}, marks=pytest.mark.slow),  # shared by a row
+    ],
+)
 def test_numbers_of_a_chart_that_come_to_the_host(other):
     session = session_of(jaxnh.Experiment.from_dict(content({"b": B, **other}, ANALYSES)))
     counted = []
