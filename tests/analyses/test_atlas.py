@@ -43,6 +43,7 @@ def experiment(folder, *analyses):
     return jaxnh.load(folder / "flow.yaml")
 
 
+@pytest.mark.slow  # the matrix has an atlas, and Hopf curves and cycles are quick
 @pytest.mark.usefixtures("uncalibrated")
 def test_the_hopf_curve_of_the_brusselator(tmp_path):
     """b = 1 + a² on both rows and along the curve that the Hopf points lead to, with the equilibrium (a, b/a) there."""

@@ -63,10 +63,10 @@ def test_periods_of_the_paper(case):
     assert np.all(found["residual"].to_numpy()[:3] < 1e-7)
 
 
-def test_multiple_of_the_period():
+def test_multiple_of_the_period(lanes):
     """A point of the orbits of period 1 at b = 5.8 and 2 at 2.5, met by Newton at a period of 8, is of theirs."""
     strobe = make_return_map(constant_speed(), SPLITTINGS["kahan_li8"], 120)
-    lanes, b = LaneExecutor(), np.array([5.8, 2.5])
+    b = np.array([5.8, 2.5])
     start, p = constant_speed().chart.host_points(broadcast_start(START, 2)), {"b": b}
     u = lanes(section_map, (strobe, np.int32(400)), (start, p))
     np.testing.assert_array_equal(least_period(lanes, strobe, u, p, 8, np.ones((2, 3))), [1, 2])

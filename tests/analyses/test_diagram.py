@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 
@@ -21,6 +22,7 @@ from jaxnh.solvers import SPLITTINGS
 from tests.flows.particle import SYSTEMS, twin
 from tests.helpers import taylor
 from tests.helpers.batches import batch_of
+from tests.helpers.kept_programs import lanes_with_kept_programs
 from tests.helpers.measurement import apart
 from tests.helpers.memory import peak_memory
 from tests.helpers.paths import ROOT
@@ -47,12 +49,17 @@ def sections(group):
     return np.stack([x1, y1, np.arctan2(y2, x2)], axis=-1)
 
 
+def few_lanes():
+    """A runner of its own account, with the programs of earlier ones."""
+    return lanes_with_kept_programs(None, jax.devices()[:1], 32)
+
+
 @pytest.mark.parametrize("name", ["constant", "disturbed"])
 @pytest.mark.parametrize("transient", [0, 3])
 def test_strobes_from_a_fixed_start_are_those_of_the_reference(name, transient):
     """With no transient the first strobe is the start state, the second the state one period on."""
     system, par = SYSTEMS[name], twin(SYSTEMS[name])
-    ours = sections(run(DiagramOptions(transient=transient, strobes=3), scene(system), LaneExecutor()))
+    ours = sections(run(DiagramOptions(transient=transient, strobes=3), scene(system), few_lanes()))
     start = np.broadcast_to(par.start(), (len(B), 3))
     for k in range(3):
         periods = transient + k
@@ -67,10 +74,8 @@ def test_phase_of_the_strobes(phase, start):
     system = SYSTEMS["disturbed"]
     values = B if start == "fixed" else B[:1]
     options = DiagramOptions(transient=0, strobes=3, phase=phase, start=start)
-    ours = run(options, scene(system, values), LaneExecutor())
-    path = portrait.run(
-        portrait.PortraitOptions(transient=0, periods=3, samples=4), scene(system, values), LaneExecutor()
-    )
+    ours = run(options, scene(system, values), few_lanes())
+    path = portrait.run(portrait.PortraitOptions(transient=0, periods=3, samples=4), scene(system, values), few_lanes())
     for name in NAMES:
         np.testing.assert_allclose(
             ours[name].to_numpy(), path[name].to_numpy()[:, round(4 * phase) :: 4], atol=TOLERANCE
@@ -81,7 +86,7 @@ def test_phase_of_the_strobes(phase, start):
 def test_a_carried_state_is_a_plain_loop_over_b(start, order):
     """Up and down in b whatever the order of the sweep; the last strobe at one b is the start at the next."""
     system, par = SYSTEMS["constant"], twin(SYSTEMS["constant"])
-    ours = sections(run(DiagramOptions(transient=2, strobes=3, start=start), scene(system), LaneExecutor()))
+    ours = sections(run(DiagramOptions(transient=2, strobes=3, start=start), scene(system), few_lanes()))
     state = par.start()
     for i in order:
         state = taylor.strobe(par, B[i], state, 2)[0]
@@ -93,9 +98,9 @@ def test_a_carried_state_is_a_plain_loop_over_b(start, order):
 def test_a_carried_state_does_not_feel_where_a_call_ends(monkeypatch):
     values = np.linspace(4.0, 5.5, 11)
     options = DiagramOptions(transient=3, strobes=4, start="up")
-    whole = sections(run(options, coarse(values), LaneExecutor()))
+    whole = sections(run(options, coarse(values), few_lanes()))
     monkeypatch.setattr(diagram, "_CARRIED_AT_ONCE", 4)
-    parts = sections(run(options, coarse(values), LaneExecutor()))
+    parts = sections(run(options, coarse(values), few_lanes()))
     np.testing.assert_allclose(parts, whole, atol=1e-9)  # another program, so rounding differs, and chaos enlarges it
 
 
@@ -105,7 +110,7 @@ def test_up_and_down_part_where_two_attractors_live():
     points = {}
     for start in ("up", "down"):
         options = DiagramOptions(transient=200, strobes=4, start=start)
-        points[start] = run(options, scene(SYSTEMS["constant"], values, "blanes_moan6", 80), LaneExecutor())[
+        points[start] = run(options, scene(SYSTEMS["constant"], values, "blanes_moan6", 80), few_lanes())[
             "x1"
         ].to_numpy()
     distinct = {start: [len(np.unique(row.round(3))) for row in x] for start, x in points.items()}
@@ -140,16 +145,14 @@ def test_random_starts_are_the_same_in_any_tiles():
 
 
 def test_each_b_has_starts_of_its_own():
-    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", n_starts=6), coarse(), LaneExecutor())[
-        "x1"
-    ].to_numpy()
+    x1 = run(DiagramOptions(transient=0, strobes=1, start="random", n_starts=6), coarse(), few_lanes())["x1"].to_numpy()
     assert len(np.unique(x1)) == 5 * 6
 
 
 @pytest.mark.parametrize("start", ["fixed", "up", "down", "random"])
 def test_expected_work_is_the_work_done(start):
     options = DiagramOptions(transient=5, strobes=4, start=start, phase=0.5)
-    lanes = LaneExecutor()
+    lanes = few_lanes()
     run(options, coarse(), lanes)
     carried = 0.5 if start in ("up", "down") else 0.5 * len(B)  # a carried state flies to the phase once
     expected = diagram.periods(options, len(B)) - 0.5 * len(B) * (16 if start == "random" else 1)

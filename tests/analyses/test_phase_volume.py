@@ -55,6 +55,7 @@ def test_maps_that_keep_area_and_one_that_does_not():
     assert np.abs(groups["lyapunov"]["exponent_sum"] - np.log(0.3)).max() < 1e-12
 
 
+@pytest.mark.slow  # maps that keep area and one that does not are quick
 def test_two_maps_side_by_side_are_hyperchaotic():
     """Two of Henon's from different points; with the second at a = 1 on its cycle, one alone, there is one exponent."""
     config = "system: {file: m.py}\ninitial: {x: 0.1, z: 0.2}\nsweep: {a: {values: [1.0, 1.4]}}\n"

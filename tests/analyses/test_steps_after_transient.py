@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.analyses.basins import basins as basins_of_a_sweep
 from jaxnh.analyses.basins.basins import BasinsOptions, choose
 from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.batch import LaneBatch
@@ -74,8 +75,9 @@ def test_few_lanes_choose_nothing():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("random", [False, True])
-def test_basins_are_those_of_all_steps(tmp_path, random):
+def test_basins_are_those_of_all_steps(tmp_path, monkeypatch, random):
     """65 x 65 starts over the box, and as many random ones: the same attractors, more than 999 of 1,000 starts alike."""
+    monkeypatch.setattr(basins_of_a_sweep, "_MANY", 65**2)  # steps are chosen for 16,384 starts and more
     axis = {"start": -4.0, "stop": 4.0, "count": 65}
     system = {"constraint": "constant_speed", "a": 0.5, "c": 1.0, "omega": 1.0}
     content = {"system": {**system, "b": B}, "initial": {"x2": 0.1}, "sweep": {"x1": axis, "y1": axis}}

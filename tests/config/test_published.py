@@ -226,6 +226,7 @@ def system(push=0.8, swing=0.3, gauge=0.4, rolled=0.1):
 """
 
 
+@pytest.mark.slow  # equations of a carriage on wheels are quick
 def test_a_vehicle_moves_on_wheels_as_on_skates():
     """But for the angles of the wheels (Borisov, Kilin and Mamaev, Regul. Chaotic Dyn. 20 (2015) 752, abstract).
 

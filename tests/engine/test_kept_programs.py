@@ -284,6 +284,7 @@ print(*(value.hex() for leaf in lanes.jax.tree.leaves(end) for value in leaf.tol
 """
 
 
+@pytest.mark.slow  # two processes; that kept programs are found is quick
 def test_functions_of_lapack_are_looked_up_for_a_kept_program(tmp_path):
     """Matrices of nine coordinates are factorised by LAPACK, which a process that lowers nothing has not looked up."""
     (tmp_path / "rates.py").write_text(RATES)

@@ -92,6 +92,7 @@ def test_outputs_at_crossings_and_strobes():
     assert np.abs(data["energy_max"] - known).max() < 1e-7
 
 
+@pytest.mark.slow  # those of a bead in closed form are quick
 def test_powers_are_the_rate_of_the_kinetic_energy():
     """Of Q and of a constraint that is nonlinear: the sum at every sample, and the rate by differences."""
     session = jaxnh.Session(governor, start={"x": 0.5, "y_dot": -0.25}, target=1e-10)
