@@ -1034,6 +1034,7 @@ BROTHERS = {
     ),
     "T, Q, f without a clock": ("a right-hand side on a section", "T, Q, f with a constraint that is eliminated"),
     "no forcing, on a section": ("a right-hand side on a section", "the particle, disturbed"),
+    "quasi-velocities, one of them given, and a norm": ("T, Q, f with a constraint that is eliminated",),
     "the free particle": ("a right-hand side with a clock", "the particle, disturbed"),
     "a shared axis": ("a right-hand side with a clock", "two axes"),
 }
