@@ -255,7 +255,7 @@ def test_what_windows_cannot_do_is_said(tmp_path, sweep, message):
 @pytest.mark.slow
 def test_windows_of_a_flow(tmp_path):
     """The flow whose strobe map is the quadratic map: period 3, the doublings by Newton on it, where these end, and the crisis."""
-    tree = session_of(flow(tmp_path, "a: {start: 1.74, stop: 1.80, count: 31}", "{max_period: 3, crisis: 1024}")).tree()
+    tree = session_of(flow(tmp_path, "a: {start: 1.74, stop: 1.80, count: 61}", "{max_period: 3}")).tree()
     data = tree["windows"].to_dataset()
     assert (data["period"].values.tolist(), data["orbits"].values.tolist()) == ([3], [1])
     off = 5 * np.exp(-30)  # the map with ε doubles 4.2 ε before that without, by Newton at ε = 1e-5 and 1e-6
