@@ -179,7 +179,7 @@ def _drop_transients(
 def _was_on(
     chart: Chart, target: Attractors, records: LaneRecords, subset: Int[np.ndarray, " some"]
 ) -> Bool[np.ndarray, " some"]:
-    """Return whether lanes were on a chaotic set in their last window: near it, with its means as both halves differ."""
+    """Return whether lanes were on a chaotic set in their last window, by place and by means that both halves tell."""
     unit = records.unit[subset] * (records.gap[subset] / (2.0 * SETTLED_TO))[:, None]
     alike = np.all(np.abs(records.means[subset] - target.means) <= unit + target.unit, axis=1)
     alike[alike] = _distances(chart, target, records.u[subset[alike]], records.size[subset[alike]]) <= 1.0

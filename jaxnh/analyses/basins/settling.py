@@ -29,7 +29,7 @@ _RESTLESS = 1e-2  # likewise, of one whose motion is no slow approach
 _FALLS = 0.25  # from a look to the next of what an approach or a smooth mean leaves; of chaos half is left, or more
 _GROWN = 1.5  # from one look to one twice as long, of what goes to infinity in proportion to time
 OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE, TRANSIENT = range(6)
-"""States of knowledge of a lane; `clustering` decides which lanes are conservative, and which on a chaotic transient."""
+"""States of knowledge of a lane; `clustering` decides which lanes are conservative, and which on a transient."""
 
 
 class LaneRecords(NamedTuple):
