@@ -71,6 +71,18 @@ class Assignment(NamedTuple):
     judged: int = 0
 
 
+class Departures(NamedTuple):
+    """Motions that did not stay where they were in their last window.
+
+    Attributes:
+        point: value of the parameters of each, (some,).
+        records: of that window.
+    """
+
+    point: Int[np.ndarray, " some"]
+    records: LaneRecords
+
+
 def find_attractors(
     batch: LaneBatch,
     lanes: LaneRunner,
@@ -90,11 +102,14 @@ def find_attractors(
         longest: periods that a lane may take.
     """
     assignment, most = Assignment(np.full(batch.count, -1), np.zeros(0, int), None), _MOST_CLUSTERS
-    tested, departed, transient = np.zeros((3, batch.count), np.bool_)
+    tested, transient = np.zeros((2, batch.count), np.bool_)
+    departed = list[Departures]()
     while True:
         before = len(assignment.point)
         assignment = _search(batch, lanes, records, point, assignment, limit, longest, most, departed)
-        assignment, dropped = _drop_transients(batch.chart, records, point, assignment, departed)
+        failed = np.flatnonzero((records.known == FAILED) & np.all(np.isfinite(records.u), axis=1))
+        gone = [*departed, Departures(point[failed], select(records, failed))]
+        assignment, dropped = _drop_transients(batch.chart, assignment, gone)
         transient |= dropped
         most = most if len(assignment.point) > before else max(1, most // 2)
         left = (assignment.number < 0) & np.isin(records.known, (SETTLED, RESTLESS))
@@ -119,7 +134,7 @@ def _search(
     limit: int,
     longest: int,
     most: int,
-    departed: Bool[np.ndarray, " lanes"],
+    departed: list[Departures],
 ) -> Assignment:
     """Match lanes to attractors and judge the others, at most so many clusters at a value of the parameters.
 
@@ -140,9 +155,9 @@ def _search(
         before = len(assignment.point)
         assignment, place = _add_attractors(batch.chart, assignment, judged, point[seeds])
         settled = records.known[seeds] == SETTLED
-        regular = ~settled & (place >= 0) & np.isin(judged.kind, (PERIODIC, EQUILIBRIUM, LIMIT_CYCLE))
-        departed[seeds[regular]] = True
-        assignment.number[seeds[settled | regular]] = place[settled | regular]
+        regular = seeds[~settled & (place >= 0) & np.isin(judged.kind, (PERIODIC, EQUILIBRIUM, LIMIT_CYCLE))]
+        departed.append(Departures(point[regular], select(records, regular)))
+        assignment.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
         match(batch, lanes, records, point, assignment, of_leader)
         away = _far_from_leaders(batch.chart, records, judged, cluster)
@@ -154,20 +169,16 @@ def _search(
 
 
 def _drop_transients(
-    chart: Chart,
-    records: LaneRecords,
-    point: Int[np.ndarray, " lanes"],
-    assignment: Assignment,
-    departed: Bool[np.ndarray, " lanes"],
+    chart: Chart, assignment: Assignment, departures: Sequence[Departures]
 ) -> tuple[Assignment, Bool[np.ndarray, " lanes"]]:
-    """Drop chaotic attractors that some lanes have left, and return which lanes had been on them."""
+    """Drop chaotic attractors that some motions have left, and return which lanes had been on them."""
     if assignment.attractors is None:
-        return assignment, np.zeros(len(point), np.bool_)
-    gone = np.flatnonzero(departed | ((records.known == FAILED) & np.all(np.isfinite(records.u), axis=1)))
+        return assignment, np.zeros(len(assignment.number), np.bool_)
+    gone: Departures = jax.tree.map(lambda *leaves: np.concatenate(leaves), *departures)
     stays = np.ones(len(assignment.point), np.bool_)
     for k in np.flatnonzero(assignment.attractors.kind == CHAOTIC).tolist():
         attractor: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], assignment.attractors)
-        stays[k] = not np.any(_was_on(chart, attractor, records, gone[point[gone] == assignment.point[k]]))
+        stays[k] = not np.any(_was_on(chart, attractor, select(gone.records, gone.point == assignment.point[k])))
     number = np.where(stays, np.cumsum(stays) - 1, -1)
     kept = select(assignment.attractors, stays) if np.any(stays) else None
     on = assignment.number >= 0
@@ -176,13 +187,11 @@ def _drop_transients(
     return assignment._replace(point=assignment.point[stays], attractors=kept), dropped
 
 
-def _was_on(
-    chart: Chart, target: Attractors, records: LaneRecords, subset: Int[np.ndarray, " some"]
-) -> Bool[np.ndarray, " some"]:
-    """Return whether lanes were on a chaotic set in their last window, by place and by means that both halves tell."""
-    unit = records.unit[subset] * (records.gap[subset] / (2.0 * SETTLED_TO))[:, None]
-    alike = np.all(np.abs(records.means[subset] - target.means) <= unit + target.unit, axis=1)
-    alike[alike] = _distances(chart, target, records.u[subset[alike]], records.size[subset[alike]]) <= 1.0
+def _was_on(chart: Chart, target: Attractors, records: LaneRecords) -> Bool[np.ndarray, " some"]:
+    """Return whether motions were on a chaotic set in their last window, by place and means as both halves have them."""
+    unit = records.unit * (records.gap / (2.0 * SETTLED_TO))[:, None]
+    alike = np.all(np.abs(records.means - target.means) <= unit + target.unit, axis=1)
+    alike[alike] = _distances(chart, target, records.u[alike], records.size[alike]) <= 1.0
     return alike
 
 
