@@ -188,7 +188,7 @@ def _drop_transients(
 
 
 def _was_on(chart: Chart, target: Attractors, records: LaneRecords) -> Bool[np.ndarray, " some"]:
-    """Return whether motions were on a chaotic set in their last window, by place and means as both halves have them."""
+    """Return whether motions were on a chaotic set in their last window, by place and by means within their gap."""
     unit = records.unit * (records.gap / (2.0 * SETTLED_TO))[:, None]
     alike = np.all(np.abs(records.means - target.means) <= unit + target.unit, axis=1)
     alike[alike] = _distances(chart, target, records.u[alike], records.size[alike]) <= 1.0
