@@ -20,7 +20,7 @@ from jaxnh.exceptions import ResultError
 from jaxnh.plotting.charts import image_of, label_frame
 from jaxnh.plotting.frame import legend_above, new_axes, over_axis
 from jaxnh.plotting.groups import along_axis, require_variables
-from jaxnh.plotting.labels import coordinate_of
+from jaxnh.plotting.labels import coordinate_of, is_angle
 from jaxnh.plotting.meanings import FAILED, NONE, meanings
 from jaxnh.plotting.pixels import Entry, Pixels, colour_pixels, plane_of
 from jaxnh.plotting.style import TINTS, Colour, darker
@@ -176,7 +176,7 @@ def _points(group: xr.Dataset, axes: tuple[xr.DataArray, xr.DataArray]) -> Itera
         unit = _SAME * max(float(np.abs(points).max(initial=0.0)), 1e-300)
         points = points[np.unique((points / unit).round(), axis=0, return_index=True)[1]]
         for k, (axis, name) in enumerate(zip(axes, of_axes, strict=True)):
-            if str(name.attrs.get("long_name", "")).startswith("angle "):
+            if is_angle(name):
                 points = _repeat_angle(points, k, float(axis.min()), float(axis.max()))
         yield points
 

@@ -20,6 +20,11 @@ def coordinate_of(axis: str) -> str:
     return axis.removeprefix("start_")
 
 
+def is_angle(variable: xr.DataArray) -> bool:
+    """Whether values of a variable are angles from -pi to pi."""
+    return str(variable.attrs.get("long_name", "")).startswith("angle ")
+
+
 def symbol_of(name: str, index: int | str = "") -> str:
     """A name as mathematics, with a dot for a rate and with an index: "x1", "theta_dot", "drive", "start_x1"."""
     if (coordinate := coordinate_of(name)) != name:

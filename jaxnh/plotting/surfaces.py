@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.frame import new_axes
 from jaxnh.plotting.groups import lane_of, require_variables, variables_of
-from jaxnh.plotting.labels import symbol_of, with_units
+from jaxnh.plotting.labels import is_angle, symbol_of, with_units
 from jaxnh.plotting.planes import name_lane
 from jaxnh.plotting.style import BLUE, LINE, VERMILION
 
@@ -42,6 +42,9 @@ def surfaces(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes
     corners, arc, kinds = require_variables(of_lane, "triangles", "arc_length", "surface_kind")
     corners, arc = corners.transpose(*dims, ...).to_numpy(), arc.transpose(*dims, "point").to_numpy()
     points = np.stack([variable.transpose(*dims, "point").to_numpy() for variable in shown], axis=-1)
+    for i in (i for i, variable in enumerate(shown) if is_angle(variable)):
+        for s, k in np.ndindex(*corners.shape[:2]):
+            points[s, k, :, i] = _unwrap(points[s, k, :, i], corners[s, k][corners[s, k][:, 0] >= 0])
     known = np.isfinite(points).all(axis=-1)
     low, high = (
         np.array([f(points[..., i][known]) if known.any() else float(k) for i in range(3)])
@@ -53,7 +56,10 @@ def surfaces(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes
     for s, k in np.ndindex(*corners.shape[:2]):
         own = corners[s, k][corners[s, k][:, 0] >= 0]
         if len(own):
-            seen = _project((points[s, k] - middle) / half)[own]
+            at = points[s, k][own]
+            for i in (i for i, variable in enumerate(shown) if is_angle(variable)):
+                at[..., i] = at[:, :1, i] + _turn(at[..., i] - at[:, :1, i])  # a surface may go around and close
+            seen = _project((at - middle) / half)
             stripe = np.floor(_BANDS * arc[s, k][own].mean(axis=1) / np.nanmax(arc[s, k])) % 2
             faces.append(seen[:, :, :2])
             colours.append(_shaded(seen, _COLOURS[int(kinds.to_numpy().ravel()[k])], stripe))
@@ -69,6 +75,29 @@ def surfaces(data: xr.Dataset, ax: Axes | None = None, *, lane: int = 0) -> Axes
     ax.set_aspect("equal")
     ax.set_axis_off()
     return name_lane(data, lane, ax)
+
+
+def _turn(angle: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
+    """Return angles from -pi to pi."""
+    return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
+
+
+def _unwrap(
+    angle: Float[np.ndarray, " points"], corners: Int[np.ndarray, "triangles 3"]
+) -> Float[np.ndarray, " points"]:
+    """Return angles of the points of a surface, each within half a turn of a neighbour's, from the first point on."""
+    if not len(corners):
+        return angle
+    from scipy.sparse import coo_array  # takes a tenth of a second to import
+    from scipy.sparse.csgraph import breadth_first_order
+
+    ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    edges = coo_array((np.ones(len(ends)), ends.T), (len(angle), len(angle)))
+    order, before = breadth_first_order(edges, corners[0, 0], directed=False)
+    angle = angle.copy()
+    for point in order[1:]:
+        angle[point] = angle[before[point]] + _turn(angle[point] - angle[before[point]])
+    return angle
 
 
 def _project(points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:

@@ -8,6 +8,7 @@ import pytest
 import jaxnh
 from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
 from jaxnh.plotting.descriptions import describe
+from tests.flows.lorenz import lorenz
 
 pytestmark = pytest.mark.usefixtures("one_core")
 
@@ -137,6 +138,60 @@ def test_a_spiral_attractor():
     at = int(np.argmin(np.abs(data["x"].to_numpy()[0])))
     ours = np.sort_complex(data["multipliers"].to_numpy()[0, at] @ [1.0, 1.0j])
     assert np.abs(ours - np.sort_complex(np.roots([1.0, 0.78885, 0.4174, -0.5]))).max() < 1e-9
+
+
+def roessler(c=5.7):
+    def rhs(s, t):
+        x, y, z = s
+        return -y - z, x + 0.2 * y, 0.2 + z * (x - c)
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+
+
+def langford(a=0.95):
+    """Of Langford, Int. Ser. Numer. Math. 70 (1984) 285: a cycle sheds a torus, which an asymmetry breaks."""
+
+    def rhs(s, t):
+        x, y, z = s
+        square = x**2 + y**2
+        return (
+            (z - 0.7) * x - 3.5 * y,
+            3.5 * x + (z - 0.7) * y,
+            0.6 + a * z - z**3 / 3.0 - square * (1.0 + 0.25 * z) + 0.1 * z * x**3,
+        )
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+
+
+@pytest.mark.slow
+def test_roads_of_flows():
+    """Doublings of Roessler's cycle, a torus that breaks, and Lorenz's attractor, which comes by neither.
+
+    The least orbit in Lorenz's attractor turns about either equilibrium once, and its multiplier 4.7 (Viswanath 2003) is positive.
+    """
+    options = {"attractor": 2048, "max_period": 4, "rounds": 6}
+    session = jaxnh.Session(roessler, start={"x": 5.0, "y": 0.0, "z": 0.1}, target=1e-7)
+    section = session.on(coordinate="y", value=0.0, direction="up")
+    data = section.run(jaxnh.Orbits(**options), c=np.array([2.5, 3.5, 4.0, 4.3, 5.0]))
+    assert roads(data) == [*["regular"] * 3, "feigenbaum", "feigenbaum"]
+    assert data["least_period"].to_numpy().tolist() == [1, 2, 4, 2, 1]
+    assert carriers(data)[3:] == ["flip saddle"] * 2
+
+    session = jaxnh.Session(langford, start={"x": 0.4, "y": 0.0, "z": 0.6}, target=1e-6)
+    section = session.on(coordinate="y", value=0.0, direction="up")
+    # The cycle is outside where it is four times further than any point from the next: of 2,048 in chaos one is too lonely.
+    boxed = options | {"attractor": 4096, "n_starts": 4, "box": {"x": (0.1, 1.5), "z": (-0.5, 1.7)}}
+    a = np.array([0.6, 0.7, 0.8, 0.9, 0.98, 1.0])
+    data = section.run(jaxnh.Orbits(**boxed), a=a)
+    kinds = jaxnh.labels(section.run(jaxnh.Verdict(), a=a)["kind"]).to_numpy().tolist()
+    assert roads(data) == ["regular", "undecided", "undecided", "regular", *["torus breakdown"] * 2]
+    assert (kinds[2], kinds[4:]) == ("quasiperiodic", ["chaotic"] * 2)
+
+    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-7)
+    section = session.on(coordinate="z", value=27.0, direction="down")
+    data = section.run(jaxnh.Orbits(**options), rho=[28.0])
+    assert (carriers(data), roads(data)) == (["saddle"], ["none of these"])
+    assert data["least_period"].to_numpy().tolist() == [2]
 
 
 def test_roads_of_charts():

@@ -8,7 +8,7 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.covariant.hyperbolicity import BOUNDED, SPLITS, TANGENT, judge_splits
-from jaxnh.analyses.covariant.vectors import covariant_vectors, smallest_angles
+from jaxnh.analyses.covariant.vectors import covariant_vectors, smallest_angles, volume_growth
 from tests.flows import lorenz
 from tests.flows.known_maps import henon
 
@@ -145,6 +145,34 @@ def test_the_cat_map_is_hyperbolic():
     assert data["exponents"].to_numpy() == pytest.approx([GOLDEN, -GOLDEN], abs=1e-12)
     assert float(data["angle_min"][0]) == pytest.approx(np.pi / 2, abs=1e-7)
     assert words(data, "kind") == "hyperbolic"
+
+
+def coupled(eps=0.3, r=3.7):
+    """Two logistic maps: in step from 0.3 on, at 0.02 both directions grow, and nowhere are they all stretched."""
+
+    def image(s):
+        f, g = (r * x * (1.0 - x) for x in s)
+        return f + eps * (g - f), g + eps * (f - g)
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+def test_maps_that_fold_are_not_said_to_be_hyperbolic():
+    """At x = 1/2 a tangent of the logistic map vanishes, whatever the angles are; with two growing ones there is none."""
+    session = jaxnh.Session(coupled, start={"x": 0.3, "y": 0.6})
+    data = session.run(jaxnh.Covariant(strobes=1024), eps=[0.02, 0.3])
+    assert np.all((data["exponents"] > data["exponents_error"]).sum("exponent") == [2, 1])
+    assert words(data, "tangency")[1] == ["bounded"]  # at right angles
+    assert words(data, "kind") == ["undecided", "undecided"]
+
+
+def test_growth_of_volumes():
+    """Of random matrices: that of the first vector by itself, and of all of them by the determinant."""
+    matrices = np.random.default_rng(4).normal(size=(1, 300, 3, 3))
+    vectors = covariant_vectors(matrices, 100, 3)
+    grown = volume_growth(vectors)
+    assert grown[0, 0] == pytest.approx(vectors.growth[0, :-1, 0], abs=1e-12)
+    assert grown[0, 2] == pytest.approx(np.log(np.abs(np.linalg.det(matrices[0, 100:199]))), abs=1e-9)
 
 
 def test_henons_attractor_has_tangencies():

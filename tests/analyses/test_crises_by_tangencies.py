@@ -1,4 +1,4 @@
-"""Crises that `basins` and `windows` find beside the tangencies of manifolds at which they happen, of Henon's map.
+"""Crises that `basins` and `windows` find beside the tangencies of manifolds at which they happen, of Henon's map and Lorenz's flow.
 
 Grebogi, Ott and Yorke (Physica D 7 (1983) 181): an attractor is destroyed, or bands of it meet, where the unstable manifold in its closure
 touches the stable one of a saddle on the boundary of its basin, or of its window's saddle orbit.
@@ -11,6 +11,9 @@ import pytest
 
 import jaxnh
 from tests.flows.known_maps import henon
+from tests.flows.lorenz import lorenz
+
+pytestmark = pytest.mark.usefixtures("one_core")
 
 
 def session():
@@ -24,12 +27,22 @@ def first_tangency(data, saddle):
     return float(values[at]), float(data["tangency_error"][at])
 
 
-def test_motions_that_escape_after_they_had_seemed_to_stay():
-    """Beyond its crisis Henon's attractor is left after some thousand iterates: no start is on one."""
-    options = jaxnh.Basins(box={"x": (-0.5, 0.5), "y": (-0.1, 0.1)}, n_starts=16, transient=256)
-    data = session().run(options, a=[1.4271])
-    assert np.all(data["attractor"] == -1)
-    assert np.all(jaxnh.labels(data["status"]) == "not finite")
+def test_a_set_that_motions_leave_is_no_attractor():
+    """Its crisis is at a = 1.42692, beyond which some starts leave within some thousand iterates and others do not yet.
+
+    Those that are left are followed to the end, and said to be on a transient.
+    """
+    box = {"x": (-0.5, 0.5), "y": (-0.1, 0.1)}
+    options = jaxnh.Basins(box=box, n_starts=16, transient=256, max_periods=1024, max_period=4)
+    data = session().run(options, a=[1.4268, 1.427])
+    before, beyond = (data.isel(a=k) for k in range(2))
+    assert np.all(before["attractor"] == 1)
+    assert set(np.unique(beyond["attractor"])) == {-1, 0}
+    assert np.all((jaxnh.labels(beyond["status"]) == "not finite") == (beyond["attractor"] == -1))
+    assert np.all((beyond["attractor"] == -1) | (beyond["time"] == 1024))
+    left = jaxnh.labels(beyond["undecided"]).where(beyond["attractor"] == 0, drop=True)
+    assert np.any(left == "transient")
+    assert np.all(left.isin(["transient", "time"]))
 
 
 def test_edges_of_motions_that_all_escape():
@@ -68,3 +81,22 @@ def test_the_crisis_of_a_window():
     window = windows.isel(window=windows["period"].to_numpy().tolist().index(7))
     assert abs(float(window["crisis"]) - below) < float(window["crisis_error"])
     assert float(window["limit"]) < below
+
+
+@pytest.mark.slow
+def test_the_crisis_of_a_flow():
+    """Lorenz's chaos becomes an attractor at rho = 24.06 (Kaplan and Yorke, Commun. Math. Phys. 67 (1979) 93).
+
+    At 23.5 some starts come to rest sooner than others, and none is on an attractor but the equilibria.
+    """
+    box = {"x": (-20.0, 20.0), "y": (-20.0, 20.0), "z": (5.0, 40.0)}
+    options = jaxnh.Basins(box=box, n_starts=32, transient=64, max_periods=2048)
+    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-6)
+    groups = session.groups({"basins": options}, rho=[23.5, 24.3])
+    data, kind = groups["basins"], jaxnh.labels(groups["attractors"]["kind"])
+    assert sorted(kind.sel(rho=23.5).to_numpy().tolist()) == ["absent", "equilibrium", "equilibrium"]
+    assert "chaotic" in kind.sel(rho=24.3)
+    before, beyond = data["attractor"].sel(rho=23.5), data["attractor"].sel(rho=24.3)
+    assert np.sum(before > 0) > 16
+    assert set(np.unique(jaxnh.labels(data["undecided"]).sel(rho=23.5))) <= {"no", "time", "transient"}
+    assert np.mean(kind.sel(rho=24.3)[beyond.to_numpy() - 1] == "chaotic") > 0.9

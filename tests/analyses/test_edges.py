@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 import jaxnh
+from jaxnh.analyses.edges.tables import status_of
 from jaxnh.exceptions import InputError
+from jaxnh.systems.flow import STATUS
 from tests.flows.known_maps import henon
 from tests.helpers import heyoka_newton
 
@@ -337,6 +341,38 @@ def test_a_cycle_between_cycles():
     assert within(data, "x_edge", 2.0)
     assert within(data, "multiplier", np.exp(4 * np.pi * rate)[:, None])
     assert within(data.isel(attractor=[0, 1]), "shock", 1.0 / 1.5)
+
+
+def tinkerbell(a=0.9):
+    def image(s):
+        x, y = s
+        return x * x - y * y + a * x - 0.6013 * y, 2.0 * x * y + 2.0 * x + 0.5 * y
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+def test_status_of_lanes_by_where_starts_lead():
+    """Attractors 0 and 1, −1 what escapes, and −2 what is not known: all escapes, or none known, is no attractor."""
+    words = (*STATUS, "one_attractor", "no_attractor")
+    labels = ([-1, -1], [-1, -2], [-2, -2], [0, 0], [0, -2], [0, -1], [0, 1])
+    expected = ["not_finite", *["no_attractor"] * 2, *["one_attractor"] * 2, "ok", "ok"]
+    assert [words[status_of(np.array(of))] for of in labels] == expected
+
+
+@pytest.mark.slow
+def test_attractors_that_are_not_known_beside_motions_that_escape():
+    """Two of five starts go to infinity at a = 0.6, and the others to a cycle of 30, which is longer than is looked for.
+
+    Motions beside the boundary go to infinity within a few iterates, and so do their distances.
+    """
+    box = {"x": (-1.3, 0.5), "y": (-1.6, 0.6)}
+    options = jaxnh.Edges(box=box, n_starts=16, transient=32, max_periods=512, pairs=2, directions=0)
+    session = jaxnh.Session(tinkerbell, start={"x": -0.72, "y": -0.64})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        data = session.run(options, a=[0.6, 0.9])
+    assert jaxnh.labels(data["status"]).to_numpy().tolist() == ["no attractor", "ok"]
+    assert data["attractors"].to_numpy().tolist() == [0, 1]
 
 
 def test_what_cannot_be():

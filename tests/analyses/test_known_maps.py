@@ -6,6 +6,7 @@ from decimal import Decimal, getcontext
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import jaxnh
 from jaxnh.engine.experiment import Experiment
@@ -212,6 +213,24 @@ def test_basins_of_two_fixed_points():
     of = groups["attractors"]["x"].to_numpy()[groups["basins"]["attractor"].to_numpy() - 1]
     assert np.array_equal(np.sign(of), np.sign(x))
     assert groups["attractors"]["multiplier"].to_numpy() == pytest.approx(0.2, abs=1e-12)  # 1 − 2 a
+
+
+def test_fixed_points_beside_starts_that_go_to_infinity():
+    """Two of x → tanh 2x at ±0.9575, beyond 3 all grow tenfold: 1e120 is no size that points are told apart by."""
+    text = """\
+import jax.numpy as jnp
+
+def system(k=2.0):
+    def image(y):
+        (x,) = y
+        return jnp.where(jnp.abs(x) > 3.0, 10.0 * x, jnp.tanh(k * x)),
+
+    return {"map": image, "coordinates": ("x",)}
+"""
+    groups = groups_of(text, "sweep: {x: {values: [-4.0, -2.0, -0.1, 0.2, 0.3, 3.5]}}\nanalyses: {basins: {}}")
+    assert groups["basins"]["attractor"].to_numpy().tolist() == [-1, 1, 1, 2, 2, -1]
+    root = brentq(lambda x: np.tanh(2.0 * x) - x, 0.5, 1.0, xtol=1e-15)
+    assert groups["attractors"]["x"].to_numpy() == pytest.approx([-root, root], abs=TO_ROUNDING)
 
 
 def test_basin_of_henon():

@@ -82,6 +82,7 @@ def test_linear_torus(system):
     start = {"angle": 0.2} if system is rigid else {"x": 0.9, "y": -0.2}
     data = jaxnh.Session(system, start=start).run(jaxnh.Rotation(), omega=np.array([GOLDEN, 2 / 7, 0.98]))
     assert kinds(data) == ["unlocked", "locked", "locked"]
+    assert data.attrs["angle"] == ("of angle" if system is rigid else "of x, y about the mean of the points")
     assert data["denominator"].to_numpy().tolist() == [0, 7, 50]
     assert data["numerator"].to_numpy().tolist() == [0, 2, 49]
     error = np.abs(data["rotation"].to_numpy() - [GOLDEN, 2 / 7, 0.98])
@@ -199,6 +200,33 @@ def test_chaos_has_no_rotation_number():
     assert kinds(data) == ["unlocked", "unconverged", "unconverged"]
     assert np.isnan(data["rotation"].to_numpy()).tolist() == [False, True, True]
     assert np.all(data["difference"].to_numpy()[1:] > 1e-4)
+
+
+def nontwist(a=0.686049, b=0.5):
+    def image(s):
+        momentum = s[1] - b * jnp.sin(s[0])
+        return s[0] + TURN * a * (1.0 - momentum**2), momentum
+
+    return {"map": image, "coordinates": ("angle", "momentum"), "angles": ("angle",)}
+
+
+@pytest.mark.parametrize("side", [0.25, -0.25])
+def test_a_torus_without_twist(side):
+    """The last one, of the golden mean, is critical at b = 0.742493131039 (del-Castillo-Negrete et al., Physica D 100, 1997).
+
+    It passes the points (a/2 ± 1/4, 0), from which there is no torus at a larger b. Tori beside it turn less, on both sides.
+    """
+    session = jaxnh.Session(nontwist, start={"angle": TURN * (0.5 * 0.686049 + side), "momentum": 0.0})
+    data = session.run(jaxnh.Rotation(transient=1, periods=8192), b=[0.6, 0.742493131039, 0.8, 0.9])
+    assert kinds(data) == ["unlocked", "unlocked", "unconverged", "unconverged"]
+    value, error = data["rotation"].to_numpy(), data["rotation_error"].to_numpy()
+    assert abs(value[1] - GOLDEN) <= error[1] < 1e-7
+    assert error[0] < 1e-11
+    momentum = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
+    beside = session.run(jaxnh.Rotation(transient=1, periods=8192), b=[0.3], momentum=momentum)["rotation"].to_numpy()[
+        0
+    ]
+    assert np.all(np.sign(np.diff(beside)) == [1, 1, -1, -1])
 
 
 def test_adlers_equation():

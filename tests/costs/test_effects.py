@@ -304,24 +304,48 @@ def two_wells(a=0.4):
 
 
 @pytest.mark.usefixtures("quick_compiling_once")
-def test_programs_are_those_without_covariant_edges_transients_and_rotation():
-    """What they need comes beside the programs that are compiled without them, and changes none of these."""
-    poincare = {"poincare": {"transient": 1, "strobes": 4}}
-    others = {
-        "covariant": {"transient": 1, "strobes": 256},
-        "rotation": {"transient": 1, "periods": 128},
-        "edges": {"box": {"x": (-1.0, 1.0)}, "n_starts": 4, "directions": 0, "pairs": 1},
-        "transients": {"box": {"x": (-1.0, 1.0)}, "n_starts": 16, "max_periods": 16, "saddle_points": 8},
-    }
+@pytest.mark.parametrize(
+    "others",
+    [
+        {
+            "covariant": {"transient": 1, "strobes": 256},
+            "rotation": {"transient": 1, "periods": 128},
+            "edges": {"box": {"x": (-1.0, 1.0)}, "n_starts": 4, "directions": 0, "pairs": 1},
+            "transients": {"box": {"x": (-1.0, 1.0)}, "n_starts": 16, "max_periods": 16, "saddle_points": 8},
+        },
+        pytest.param(
+            {
+                "orbits": {"max_period": 1, "transient": 8, "rounds": 4, "attractor": 256, "averages": True},
+                "manifolds": {
+                    "box": {"x": (-1.0, 1.0), "y": (-1.0, 1.0)},
+                    "kind": "unstable",
+                    "n_starts": 4,
+                    "length": 0.2,
+                },
+            },
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["covariant, rotation, edges, transients", "orbits, manifolds"],
+)
+def test_programs_are_those_without_what_organises_chaos(others):
+    """What they need comes beside the programs that are compiled without them, and changes none of these.
 
-    def compiled(analyses):
+    A dimension of points that are there needs none.
+    """
+
+    def compiled(analyses, dimension):
         """The instructions of all programs, without the lines of the source that they come from."""
         session = jaxnh.Session(two_wells, start={"x": 0.3, "y": 0.1})
-        session.groups(analyses, a=[0.3, 0.4])
+        poincare = {"poincare": {"transient": 1, "strobes": 256, "correlation_dimension": dimension}}
+        session.groups(poincare | analyses, a=[0.3, 0.4])
         lines = (re.findall(r"^.* = .*$", text, re.MULTILINE) for text in session._lanes.programs.texts())
         return {re.sub(r", metadata=\{[^}]*\}", "", "\n".join(of)) for of in lines}
 
-    assert compiled(poincare) < compiled(poincare | others)
+    alone = compiled({}, False)
+    assert alone
+    assert alone < compiled(others, False)
+    assert alone == compiled({}, True)
 
 
 def test_page_is_of_the_scenes_that_are_priced():

@@ -49,6 +49,18 @@ accuracy: {solver: blanes_moan6, steps: 40}
 analyses:
   manifolds: {box: {x1: [-1.0, 1.0], y1: [-1.0, 1.0]}, n_starts: 8, length: 4.0, kind: unstable}
 """
+SURFACES = f"""\
+system: {{file: {ROOT}/configs/flows/lorenz.py}}
+initial: {{x: 1.0, y: 1.0, z: 20.0}}
+sweep: {{rho: {{values: [13.926557, 28.0]}}}}
+accuracy: {{solver: tsit5, steps: 64}}
+analyses:
+  manifolds: {{dimension: 2, kind: stable, box: {{x: [-20, 20], y: [-20, 20], z: [-20, 20]}}, length: 2.0, max_points: 2048}}
+"""
+COVARIANT, ROTATION = (
+    MANIFOLDS[: MANIFOLDS.index("  manifolds")] + text
+    for text in ("  covariant: {transient: 64, strobes: 256}\n", "  rotation: {transient: 64, periods: 256}\n")
+)
 # Every call is written; at the end of one of them, some numbers of which are given, the process does this to itself.
 HEAD = """
 import os, time
@@ -88,6 +100,9 @@ def calls_of(batch, *arguments):
         pytest.param(CARRIED, None, signal.SIGINT, 1, id="carried, SIGINT"),
         pytest.param(DOUBLING, None, signal.SIGTERM, 4, id="doubling"),
         pytest.param(MANIFOLDS, None, signal.SIGKILL, 6, id="manifolds, killed"),
+        pytest.param(SURFACES, None, signal.SIGKILL, 6, id="surfaces, killed"),
+        pytest.param(COVARIANT, None, signal.SIGKILL, 1, id="covariant, killed"),
+        pytest.param(ROTATION, None, signal.SIGKILL, 0, id="rotation, killed"),
         pytest.param(CONFIG, 32, signal.SIGKILL, 2, id="a batch of small tiles, killed"),
     ],
 )

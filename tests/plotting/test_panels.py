@@ -167,6 +167,32 @@ def test_a_section_is_named():
     assert ax.get_title("left") == "on y1 = 0, up"
 
 
+def moved_across_the_seam(data, name):
+    """The same with a coordinate moved by half a turn, and whole turns taken off, as an angle."""
+    moved = (data[name] + np.pi + np.pi) % (2 * np.pi) - np.pi
+    assert moved.min() < -2.0
+    assert moved.max() > 2.0
+    return data.assign({name: moved.assign_attrs(data[name].attrs | {"long_name": "angle x"})})
+
+
+def test_a_surface_across_the_seam_of_an_angle_is_whole():
+    """It looks as that of a coordinate that runs on, from where it begins."""
+    plain = saddle_surface()
+    faces = [
+        np.array([path.vertices for path in surfaces(data).collections[0].get_paths()])
+        for data in (plain, moved_across_the_seam(plain, "x_points"))
+    ]
+    np.testing.assert_allclose(faces[1], faces[0], atol=1e-12)
+
+
+def test_manifolds_end_at_the_seam_of_an_angle():
+    """And go on at its other side, without a line across the picture."""
+    for line in manifolds(moved_across_the_seam(cat_manifolds(), "x1_points")).get_lines()[:2]:
+        x = line.get_xdata()
+        assert np.sum(np.isfinite(x)) == 40
+        assert np.nanmax(np.abs(np.diff(x))) < 0.1
+
+
 def test_a_plane_has_two_coordinates():
     with pytest.raises(ResultError, match="names 1"):
         points(strobes().assign_attrs(panel_variables="x1"))

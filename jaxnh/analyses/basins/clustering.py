@@ -3,6 +3,9 @@
 Means say which lanes may be on one attractor, and are no evidence that they are: attractors that a symmetry relates may
 share all of them. What counts is where lanes are.
 
+An attractor is left by no motion. Where a lane was on what seems to be a chaotic one, by means and place, and went to
+infinity or to an orbit or to rest later, as just beyond a crisis, it is none, and its lanes are followed further.
+
 Host code on records of lanes and attractors; `point` says everywhere which value of the parameters a lane is at,
 as lanes at different ones have nothing to do with each other.
 """
@@ -16,10 +19,29 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, NONE, PERIODIC, POINTS, Attractors, classify
+from jaxnh.analyses.basins.classification import (
+    CHAOTIC,
+    EQUILIBRIUM,
+    LIMIT_CYCLE,
+    NONE,
+    PERIODIC,
+    POINTS,
+    Attractors,
+    classify,
+)
 from jaxnh.analyses.basins.paths import follow_paths, pad_points, stays_near
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
-from jaxnh.analyses.basins.settling import CONSERVATIVE, FAILED, OPEN, RESTLESS, SETTLED, LaneRecords, resume
+from jaxnh.analyses.basins.settling import (
+    CONSERVATIVE,
+    FAILED,
+    OPEN,
+    RESTLESS,
+    SETTLED,
+    SETTLED_TO,
+    TRANSIENT,
+    LaneRecords,
+    resume,
+)
 from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.systems.chart import Chart
@@ -28,7 +50,7 @@ from jaxnh.systems.flow import NOT_FINITE
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
 _FRUITLESS = 4  # times in turn that lanes of one cluster are judged in vain
 _SEEDS = 4  # of restless lanes, likewise
-_SAME_ORBIT = 1e-6  # of the largest motion of the sweep
+_SAME_ORBIT = 1e-6  # of the largest motion on an attractor of the sweep
 _CLEARLY = 2.0  # times as far as from its attractor is a lane from every other one, or not near to it
 _MOSTLY = 0.95  # of the points of a set lie within the largest spacing that those of another look have
 
@@ -47,6 +69,18 @@ class Assignment(NamedTuple):
     point: Int[np.ndarray, " attractors"]
     attractors: Attractors | None
     judged: int = 0
+
+
+class Departures(NamedTuple):
+    """Motions that did not stay where they were in their last window.
+
+    Attributes:
+        point: value of the parameters of each, (some,).
+        records: of that window.
+    """
+
+    point: Int[np.ndarray, " some"]
+    records: LaneRecords
 
 
 def find_attractors(
@@ -68,10 +102,15 @@ def find_attractors(
         longest: periods that a lane may take.
     """
     assignment, most = Assignment(np.full(batch.count, -1), np.zeros(0, int), None), _MOST_CLUSTERS
-    tested = np.zeros(batch.count, np.bool_)
+    tested, transient = np.zeros((2, batch.count), np.bool_)
+    departed = list[Departures]()
     while True:
         before = len(assignment.point)
-        assignment = _search(batch, lanes, records, point, assignment, limit, longest, most)
+        assignment = _search(batch, lanes, records, point, assignment, limit, longest, most, departed)
+        failed = np.flatnonzero((records.known == FAILED) & np.all(np.isfinite(records.u), axis=1))
+        gone = [*departed, Departures(point[failed], select(records, failed))]
+        assignment, dropped = _drop_transients(batch.chart, assignment, gone)
+        transient |= dropped
         most = most if len(assignment.point) > before else max(1, most // 2)
         left = (assignment.number < 0) & np.isin(records.known, (SETTLED, RESTLESS))
         new = np.flatnonzero(left & ~tested)
@@ -80,7 +119,7 @@ def find_attractors(
             records.known[kept], left[kept], tested[new] = CONSERVATIVE, False, True
         unsettled = np.flatnonzero(left & (2 * records.time <= longest))
         if not len(unsettled):
-            records.known[left] = OPEN
+            records.known[left] = np.where(transient[left], TRANSIENT, OPEN)
             return assignment
         with lanes.stage(f"basins: extending {len(unsettled):,} lanes", float(records.time[unsettled].sum())):
             resume(batch, lanes, records, unsettled, longest)
@@ -95,6 +134,7 @@ def _search(
     limit: int,
     longest: int,
     most: int,
+    departed: list[Departures],
 ) -> Assignment:
     """Match lanes to attractors and judge the others, at most so many clusters at a value of the parameters.
 
@@ -112,9 +152,11 @@ def _search(
         judged = classify(representatives, lanes, select(records, seeds), limit, longest)
         gone = seeds[~_is_finite(judged)]  # long after they had seemed to stay
         records.known[gone], records.status[gone] = FAILED, NOT_FINITE
-        largest, before = np.nanmax(np.abs(records.size), axis=0, initial=0.0), len(assignment.point)
-        assignment, place = _add_attractors(batch.chart, assignment, judged, point[seeds], largest)
+        before = len(assignment.point)
+        assignment, place = _add_attractors(batch.chart, assignment, judged, point[seeds])
         settled = records.known[seeds] == SETTLED
+        regular = seeds[~settled & (place >= 0) & np.isin(judged.kind, (PERIODIC, EQUILIBRIUM, LIMIT_CYCLE))]
+        departed.append(Departures(point[regular], select(records, regular)))
         assignment.number[seeds[settled]] = place[settled]
         of_leader = np.where(cluster >= 0, place[cluster], -1)
         match(batch, lanes, records, point, assignment, of_leader)
@@ -124,6 +166,33 @@ def _search(
         fruitless = 0 if fruitful else fruitless + 1
         if fruitless > _FRUITLESS:
             return assignment
+
+
+def _drop_transients(
+    chart: Chart, assignment: Assignment, departures: Sequence[Departures]
+) -> tuple[Assignment, Bool[np.ndarray, " lanes"]]:
+    """Drop chaotic attractors that some motions have left, and return which lanes had been on them."""
+    if assignment.attractors is None:
+        return assignment, np.zeros(len(assignment.number), np.bool_)
+    gone: Departures = jax.tree.map(lambda *leaves: np.concatenate(leaves), *departures)
+    stays = np.ones(len(assignment.point), np.bool_)
+    for k in np.flatnonzero(assignment.attractors.kind == CHAOTIC).tolist():
+        attractor: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], assignment.attractors)
+        stays[k] = not np.any(_was_on(chart, attractor, select(gone.records, gone.point == assignment.point[k])))
+    number = np.where(stays, np.cumsum(stays) - 1, -1)
+    kept = select(assignment.attractors, stays) if np.any(stays) else None
+    on = assignment.number >= 0
+    dropped = on & ~stays[assignment.number]
+    assignment.number[on] = number[assignment.number[on]]
+    return assignment._replace(point=assignment.point[stays], attractors=kept), dropped
+
+
+def _was_on(chart: Chart, target: Attractors, records: LaneRecords) -> Bool[np.ndarray, " some"]:
+    """Return whether motions were on a chaotic set in their last window, by place and by means within their gap."""
+    unit = records.unit * (records.gap / (2.0 * SETTLED_TO))[:, None]
+    alike = np.all(np.abs(records.means - target.means) <= unit + target.unit, axis=1)
+    alike[alike] = _distances(chart, target, records.u[alike], records.size[alike]) <= 1.0
+    return alike
 
 
 def _is_finite(judged: Attractors) -> Bool[np.ndarray, " reps"]:
@@ -256,9 +325,10 @@ def _add_attractors(
     assignment: Assignment,
     judged: Attractors,
     point: Int[np.ndarray, " reps"],
-    largest: Float[np.ndarray, " d"],
 ) -> tuple[Assignment, Int[np.ndarray, " reps"]]:
     """Add new attractors, and return the number of every representative's own, −1 where it has none."""
+    sizes = [judged.size[judged.kind != NONE], *(() if assignment.attractors is None else [assignment.attractors.size])]
+    largest = np.max(np.concatenate(sizes), axis=0, initial=0.0)
     place = np.full(len(point), -1)
     new: list[int] = []
     before = 0 if assignment.attractors is None else len(assignment.point)

@@ -28,21 +28,21 @@ _LEAST = 1e-4  # of the size at the start: a coordinate that vanishes on an attr
 _RESTLESS = 1e-2  # likewise, of one whose motion is no slow approach
 _FALLS = 0.25  # from a look to the next of what an approach or a smooth mean leaves; of chaos half is left, or more
 _GROWN = 1.5  # from one look to one twice as long, of what goes to infinity in proportion to time
-OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE = range(5)
-"""States of knowledge of a lane; `clustering` decides which lanes are conservative."""
+OPEN, SETTLED, RESTLESS, FAILED, CONSERVATIVE, TRANSIENT = range(6)
+"""States of knowledge of a lane; `clustering` decides which lanes are conservative, and which on a transient."""
 
 
 class LaneRecords(NamedTuple):
     """Records of lanes.
 
     Attributes:
-        known: `OPEN`, `SETTLED`, `RESTLESS`, `FAILED` or `CONSERVATIVE`, (lanes,).
+        known: `OPEN`, `SETTLED`, `RESTLESS`, `FAILED`, `CONSERVATIVE` or `TRANSIENT`, (lanes,).
         time: periods since the start, (lanes,).
         status: number in `STATUS`, (lanes,).
         gap: between means over both halves of the last window, the largest in sizes of the motion, (lanes,).
         means: smooth ones over the last window, (lanes, F).
         unit: how well these are known where a lane has settled, (lanes, F).
-        u: section coordinates at the end, (lanes, d).
+        u: section coordinates at its end, (lanes, d). The last window is that before one in which a lane fails.
         size: of the motion, its largest coordinates over the last window and the one before, (lanes, d).
         least: lower bound of the size, (lanes, d): a coordinate that vanishes on an attractor decays for ever.
     """
@@ -85,7 +85,9 @@ def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, st
     records.least[finite] = _LEAST * np.fmax(np.abs(points_at(active, lanes, active.start)), first.largest)
     records.size[finite] = np.fmax(window.largest, records.least[finite])
     records.time[finite], records.u[finite] = transient, points_at(batch, lanes, window.state)
-    records.gap[finite] = _gap(window, units(np.array(batch.chart.angles), np.fmax(first.largest, window.largest)))
+    scale = units(np.array(batch.chart.angles), np.fmax(first.largest, window.largest))
+    records.gap[finite] = _gap(window, scale)
+    records.means[finite], records.unit[finite] = window.whole, 2.0 * SETTLED_TO * scale
     _fail(records, finite, batch.flow, window.state)
     left = records.known[finite] == OPEN
     _extend_windows(batch, lanes, records, finite[left], select(window.state, left), transient, longest)
@@ -118,16 +120,21 @@ def _extend_windows(
         active_batch = batch.take(active)
         window = average_window(active_batch, lanes, state, elapsed)
         elapsed *= 2
+        records.time[active] = elapsed
+        _fail(records, active, batch.flow, window.state)
+        finite = is_finite(window.state)
+        active, window = active[finite], select(window, finite)
+        if not len(active):
+            return
         before = records.size[active]
         records.size[active] = np.fmax(before, window.largest)
         scale = units(turns, records.size[active])
         gap = _gap(window, scale)
         settled, restless = gap <= SETTLED_TO, (gap > _RESTLESS) | (gap > _FALLS * records.gap[active])
         known = np.where(settled, SETTLED, np.where(restless, RESTLESS, OPEN)).astype(np.int8)
-        records.known[active], records.time[active], records.gap[active] = known, elapsed, gap
+        records.known[active], records.gap[active] = known, gap
         records.means[active], records.unit[active] = window.whole, 2.0 * SETTLED_TO * scale
         records.u[active] = points_at(batch, lanes, window.state)
-        _fail(records, active, batch.flow, window.state)
         if 2 * elapsed > longest:
             _escape(records, active, window, before, turns)
         records.size[active] = np.fmax(window.largest, records.least[active])

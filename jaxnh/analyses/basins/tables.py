@@ -13,14 +13,14 @@ from jaxtyping import Int
 from jaxnh.analyses.base import LANE, Entry, as_variable, flag, number_variable, variable
 from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
-from jaxnh.analyses.basins.settling import CONSERVATIVE, LaneRecords
+from jaxnh.analyses.basins.settling import CONSERVATIVE, TRANSIENT, LaneRecords
 from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.systems.flow import Flow, Output, status
 
 _QUANTILE = 1.959963984540054  # of a normal distribution, 95 % two-sided
 _MOST_NUMBERS = 1 << 24  # of all points of attractors over the parameters
-_UNDECIDED = ("no", "time", "volume_preserved")
+_UNDECIDED = ("no", "time", "volume_preserved", "transient")
 _COMPUTED = (
     "Where the trajectory computed with these steps leads. Near a fractal boundary the label of a single start changes "
     "with the steps and with rounding; shares do not, within their intervals."
@@ -75,7 +75,8 @@ def basins_group(
 ) -> xr.Dataset:
     """Return the attractor of every start state, for lanes of this shape: (lanes,), or (lanes, starts)."""
     dims = (LANE, "start")[: len(shape)]
-    undecided = np.where(number != 0, 0, np.where(records.known == CONSERVATIVE, 2, 1)).astype(np.int8)
+    reason = np.select([records.known == CONSERVATIVE, records.known == TRANSIENT], [2, 3], 1)
+    undecided = np.where(number != 0, 0, reason).astype(np.int8)
     words = "attractor that the start state leads to, by its number in `attractors`"
     special = ("failed_or_escaped", "undecided")
     variables = {

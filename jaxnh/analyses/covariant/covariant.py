@@ -28,8 +28,8 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
-from jaxnh.analyses.covariant.hyperbolicity import KINDS, SPLITS, judge, judge_splits
-from jaxnh.analyses.covariant.vectors import CovariantVectors, covariant_vectors, smallest_angles
+from jaxnh.analyses.covariant.hyperbolicity import KINDS, SPLITS, TANGENT, judge, judge_splits
+from jaxnh.analyses.covariant.vectors import CovariantVectors, covariant_vectors, smallest_angles, volume_growth
 from jaxnh.analyses.exponents.errors import Average, average_blocks
 from jaxnh.analyses.exponents.estimates import step_error
 from jaxnh.analyses.exponents.triangles import HIDDEN
@@ -41,6 +41,7 @@ from jaxnh.analyses.section_points import points_at
 from jaxnh.analyses.trajectories.states import check_transient, section_attrs, settle_lanes
 from jaxnh.maps.iterate import derivative_and_volume
 from jaxnh.maps.section import reports
+from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.state import LaneStates, is_finite
 
 _DERIVATIVE = 7.0  # periods that one with three tangents takes as long as, for the expected work
@@ -142,7 +143,10 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
     hidden = np.all(vectors.rounding >= HIDDEN, axis=1)
     sound = motions.sound
     splits = judge_splits(angles)
-    kind = judge(splits, each.mean[:, :k], each.error[:, :k], each.mean[:, k:], each.error[:, k:], neutral)
+    vanishing = np.zeros((batch.count, k), np.bool_)
+    if isinstance(batch.system, DiscreteMap):  # flows have an inverse
+        vanishing = judge_splits(np.exp(volume_growth(vectors))) == TANGENT
+    kind = judge(splits, each.mean[:, :k], each.error[:, :k], each.mean[:, k:], each.error[:, k:], neutral, vanishing)
     ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], motions.states))["status"]
     density = _densities(angles)
     values, errors = (np.where(hidden, np.nan, leaf[:, :k]) for leaf in each)

@@ -53,11 +53,13 @@ def judge(
     sums: Float[np.ndarray, "lanes d"],
     sums_error: Float[np.ndarray, "lanes d"],
     neutral: int,
+    vanishing: Bool[np.ndarray, "lanes d"],
 ) -> Int8[np.ndarray, " lanes"]:
     """Return the kind of each lane, a number in `KINDS`.
 
-    Hyperbolic is what has no exponent that may be zero but those along the flow, and angles bounded away from zero on
-    both sides of them. Pseudohyperbolic is what is not known to be so and has a split with an angle bounded away from
+    Hyperbolic is what has no exponent that may be zero but those along the flow, some that are negative, and angles
+    bounded away from zero on both sides of them. Of a map that grows in all directions angles do not say whether it
+    does so everywhere. Pseudohyperbolic is what is not known to be so and has a split with an angle bounded away from
     zero, a gap of the exponents beyond their errors, and volumes that grow in its faster subspace (Turaev and
     Shilnikov, Sb. Math. 189 (1998) 291).
 
@@ -66,19 +68,22 @@ def judge(
         exponents, error: of the vectors, largest first, with errors at 95 %.
         sums, sums_error: of the first 1, …, d of them.
         neutral: number of exponents that are known to be zero.
+        vanishing: whether volumes of the first 1, …, d vectors come to nothing near some points, as at the folds of a
+            map that has no inverse, so that angles alone do not say that they grow.
     """
     positive, negative = exponents > error, exponents < -error
     growing, zero = positive.sum(axis=1), (~positive & ~negative).sum(axis=1)
     chaotic = growing > 0
     needed = [_at(splits, growing), _at(splits, growing + zero)]
-    clear = zero <= neutral
+    stretched = ~np.take_along_axis(vanishing, np.maximum(growing, 1)[:, None] - 1, axis=1)[:, 0]
+    clear = (zero <= neutral) & negative.any(axis=1) & stretched
     gap = exponents[:, :-1] - exponents[:, 1:] > error[:, :-1] + error[:, 1:]
     expanding = sums[:, :-1] > sums_error[:, :-1]
     conditions = [
         ~np.isfinite(exponents).all(axis=1),
         ~chaotic & (exponents[:, 0] + error[:, 0] < 0.0),
         chaotic & clear & np.all([side == BOUNDED for side in needed], axis=0),
-        chaotic & np.any((splits == BOUNDED) & gap & expanding, axis=1),
+        chaotic & np.any((splits == BOUNDED) & gap & expanding & ~vanishing[:, :-1], axis=1),
         chaotic & np.any([side == TANGENT for side in needed], axis=0),
     ]
     return np.select(conditions, [5, 3, 0, 1, 2], KINDS.index("undecided")).astype(np.int8)

@@ -69,6 +69,14 @@ def covariant_vectors(
     return CovariantVectors(*(np.moveaxis(leaf, 0, 1) for leaf in every))
 
 
+def volume_growth(vectors: CovariantVectors) -> Float[np.ndarray, "lanes k points"]:
+    """Return the logarithms of what the map makes of the volumes that the first 1, …, k vectors span, at each point."""
+    with np.errstate(divide="ignore"):
+        sides = np.log(np.abs(np.diagonal(vectors.coefficients, axis1=-2, axis2=-1)))
+    grown = np.cumsum(vectors.growth[:, :-1] + np.diff(sides, axis=1), axis=-1)
+    return np.moveaxis(grown, -1, 1)
+
+
 def smallest_angles(vectors: CovariantVectors) -> Float[np.ndarray, "lanes splits points"]:
     """Return the smallest angle between the span of the first j vectors and that of the others, j = 1, …, k − 1.
 

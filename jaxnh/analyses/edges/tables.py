@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jaxnh.analyses.base import LANE, Entry, Table, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneRunner, iterate_units
 from jaxnh.analyses.edges.bisection import Bracket, Space
-from jaxnh.analyses.edges.destinations import MOST, UNDECIDED, LaneAttractors
+from jaxnh.analyses.edges.destinations import ESCAPES, MOST, UNDECIDED, LaneAttractors
 from jaxnh.analyses.edges.shocks import Shocks
 from jaxnh.analyses.edges.tracking import EQUILIBRIUM, KINDS, SADDLE_ORBIT, EdgeStates
 from jaxnh.analyses.manifolds.saddles import find_germs, parameters_of
@@ -76,13 +76,17 @@ def variables(options: EdgesOptions, lanes: LaneRunner, made: Edges) -> dict[str
     entries = _of_attractors(made, lanes) | _of_pairs(options, made, lanes)
     if made.shocks is not None:
         entries |= _of_shocks(made, lanes, made.shocks)
-    labels = [np.unique(known.labels[known.labels != UNDECIDED]) for known in made.known]
-    status = [NOT_FINITE if not np.any(known >= 0) else len(STATUS) if len(known) == 1 else 0 for known in labels]
-    undecided = [not len(known) for known in labels]
-    status = np.where(undecided, len(STATUS) + 1, status)
+    status = np.array([status_of(known.labels) for known in made.known], int)
     words = "whether the lane has edges, or why not"
     entries["status"] = flag(LANE, status, words, (*STATUS, "one_attractor", "no_attractor"))
     return entries
+
+
+def status_of(labels: np.ndarray) -> int:
+    """Return the status of a lane, from where its starts lead; `one_attractor` and `no_attractor` follow `STATUS`."""
+    if not np.any(labels >= 0):
+        return NOT_FINITE if np.all(labels == ESCAPES) else len(STATUS) + 1
+    return len(STATUS) if len(np.unique(labels[labels != UNDECIDED])) == 1 else 0
 
 
 def _of_attractors(made: Edges, lanes: LaneRunner) -> dict[str, Entry]:

@@ -106,7 +106,7 @@ def _follow(
     lost = ~(space.distance(near.near, near.far, lane) <= 2 * WIDTH)
     both = _carry(space, lanes, np.concatenate([near.near, near.far]), np.tile(lane, 2))
     first, second = both[: len(active)], both[len(active) :]
-    with np.errstate(over="ignore"):  # of motions that go to infinity
+    with np.errstate(over="ignore", invalid="ignore"):  # of motions that go to infinity
         gap = np.linalg.norm(space.batch.chart.wrap(first - second) / space.size[lane][:, None], axis=2)
     known = np.cumsum(~np.isfinite(gap), axis=1) == 0
     steps = np.where(known & (gap < _APART), 1, 0).cumprod(axis=1).sum(axis=1)  # returns before they are apart

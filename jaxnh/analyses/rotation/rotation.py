@@ -112,9 +112,10 @@ def advances_of(options: RotationOptions, batch: LaneBatch, states: State) -> Ad
         advance = np.diff(turns, axis=1)
         rounding = np.finfo(float).eps * (1.0 + np.max(np.abs(turns), axis=1))
         error = batch.error_estimate * np.maximum(np.max(np.abs(advance), axis=1), 1.0 / _TURN)
-        return Advances(
-            advance, np.ones(len(turns), bool), error + 4.0 * rounding, f"section coordinate {lifted[0] + 1}"
-        )
+        names = batch.flow.coordinates
+        whole = len(names) == batch.chart.dimension  # of a section one is left out
+        name = f"of {names[lifted[0]]}" if whole else f"section coordinate {lifted[0] + 1}"
+        return Advances(advance, np.ones(len(turns), bool), error + 4.0 * rounding, name)
     return _about_centre(options, batch, states)
 
 
