@@ -5,8 +5,6 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.optimize import fsolve
 
 import jaxnh
 from jaxnh.analyses.orbits.search import newton
@@ -199,18 +197,30 @@ def wrong_inverse(a=1.4, b=0.3):
 
 
 def independent_gap(force, damping=0.01, samples=40):
-    """Largest of (x_s − x_u) over the time of passage through v = 0, x > 1, in units of the force, by DOP853."""
-    turn = 2 * np.pi
+    """Largest of (x_s − x_u) over the time of passage through v = 0, x > 1, in units of the force, by heyoka."""
+    import heyoka as hy  # the other tests here do without
 
-    def rates(t, y):
-        return [y[1], y[0] - y[0] ** 3 - damping * y[1] + force * np.cos(t)]
+    turn, passages = 2 * np.pi, []
+    x, v = hy.make_vars("x", "v")
+
+    def passage(ta, t, sign):
+        ta.update_d_output(t)
+        if ta.d_output[0] > 1.0:
+            passages.append((t, ta.d_output[0]))
+
+    motion = [(x, v), (v, x - x**3 - damping * v + force * hy.cos(hy.time))]
+    ta = hy.taylor_adaptive(motion, [0.0, 0.0], tol=1e-16, nt_events=[hy.nt_event(v, passage)])
 
     def after(y, t):
-        return solve_ivp(rates, (0.0, t), y, "DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
+        ta.state[:], ta.time = y, 0.0
+        ta.propagate_until(t)
+        return ta.state.copy()
 
-    saddle = fsolve(lambda y: after(y, turn) - y, [-force / 2, 0.0], xtol=1e-14)
-    h = 1e-5
-    matrix = np.array([(after(saddle + h * e, turn) - after(saddle - h * e, turn)) / (2 * h) for e in np.eye(2)]).T
+    saddle, h, matrix = np.array([-force / 2, 0.0]), 1e-5, np.eye(2)
+    for _ in range(6):
+        columns = [(after(saddle + h * e, turn) - after(saddle - h * e, turn)) / (2 * h) for e in np.eye(2)]
+        matrix = np.stack(columns, axis=1)
+        saddle = saddle - np.linalg.solve(matrix - np.eye(2), after(saddle, turn) - saddle)
     values, vectors = np.linalg.eig(matrix)
     harmonics = []
     for which, sign in ((np.argmax(values), 1.0), (np.argmin(values), -1.0)):
@@ -218,15 +228,10 @@ def independent_gap(force, damping=0.01, samples=40):
         size = abs(np.log(values[which]))
         phase, place = [], []
         for k in range(samples):
-            y = saddle + 1e-7 * np.exp(size * k / samples) * way
-
-            def turning(t, y, sign=sign):
-                return y[1] if y[0] > 1.0 else sign
-
-            turning.terminal = True
-            path = solve_ivp(rates, (0.0, sign * 60.0), y, "DOP853", rtol=1e-13, atol=1e-15, events=turning)
-            phase.append(path.t_events[0][0])
-            place.append(path.y_events[0][0][0])
+            passages.clear()
+            after(saddle + 1e-7 * np.exp(size * k / samples) * way, sign * 60.0)
+            phase.append(passages[0][0])
+            place.append(passages[0][1])
         n = np.arange(1, 9)
         basis = np.concatenate([np.ones((samples, 1)), np.cos(np.outer(phase, n)), np.sin(np.outer(phase, n))], axis=1)
         harmonics.append(np.linalg.lstsq(basis, np.array(place), rcond=None)[0])
@@ -240,7 +245,7 @@ def independent_gap(force, damping=0.01, samples=40):
 
 @pytest.mark.slow
 def test_the_first_tangency_of_duffings_saddle():
-    """Within 2 % of Melnikov's value, and to 1e-6 of DOP853 on another section: both graphs over the phase touch.
+    """Within 2 % of Melnikov's value, and to 1e-6 of heyoka on another section: both graphs over the phase touch.
 
     The gap of both is linear in the force near zero, but for its square: a secant through two values near it.
     """

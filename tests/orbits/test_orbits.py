@@ -128,6 +128,7 @@ def test_lanes_do_not_wait_and_do_not_feel_each_other(lanes, strobes, n):
         looks.append(len(given[0]))
         return lanes(function, shared, given, **options)
 
+    recording.on_card = lanes.on_card
     starts = point + np.array([[0.0], [1e-10], [1e-3], [0.02], [0.1], [40.0]])
     values = np.full(len(starts), 5.58)
     found = orbits(recording, strobes["constant"], starts, {"b": values}, n)
