@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest import mock
 
 import jax
 import numpy as np
@@ -96,7 +97,7 @@ def test_bits_are_those_of_each_value_alone():
     assert np.any(found == 0)
 
 
-def rows_of_batches(sweep, analyses, **system):
+def rows_of_batches(sweep, analyses, devices=2, **system):
     """Of each batch of a sweep, at how many values of the second axis its tiles are."""
     content = {
         "system": {"constraint": "disturbed_speed", **system},
@@ -108,7 +109,7 @@ def rows_of_batches(sweep, analyses, **system):
     requested, axes = experiment.requested(), experiment.axes
     job = job_of(experiment, axes, Plan(SOLVER, STEPS, False, 1e-6), {}, requested, {})
     found = batches(
-        experiment, axes, requested, job, job.cutting.pieces(), LaneExecutor(devices=jax.devices("cpu")[:1] * 2)
+        experiment, axes, requested, job, job.cutting.pieces(), LaneExecutor(devices=jax.devices("cpu")[:1] * devices)
     )
     return [len({piece.begin[1] for piece in batch}) for batch in found]
 
@@ -124,6 +125,13 @@ def test_what_is_computed_together():
     assert rows_of_batches({"b": B, "d": d}, {**QUICK, "poincare": {}}) == [1] * 16
     omega = {"values": [0.5, *(1.0 + k for k in range(15))]}  # periods 4π, then 2π
     assert rows_of_batches({"b": B, "omega": omega}, QUICK) == [1, *[2] * 7, 1]
+
+
+def test_what_a_card_computes_together():
+    """Two batches, of all values that lanes share: an orbit takes a thread as long as all of them."""
+    d = {"start": 0.1, "stop": 0.2, "count": 64}
+    with mock.patch.object(LaneExecutor, "on_card", property(lambda self: True)):
+        assert rows_of_batches({"b": B, "d": d}, QUICK, devices=1) == [32] * 2
 
 
 @pytest.mark.slow  # pieces computed together, and files in parts over two axes, are quick

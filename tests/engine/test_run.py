@@ -329,7 +329,7 @@ def test_angles_of_vectors_and_of_turns_are_resumed(tmp_path):
 
 @pytest.mark.slow
 def test_killed_at_random_moments(job, whole):
-    """Eight kills from the start of a process to the end of the whole run; whenever one ends first, it begins anew."""
+    """Twenty kills from the start of a process to the end of the whole run; whenever one ends first, it begins anew."""
     assert job.run()[0] == 0  # programs are in the cache from here on
     job.output.unlink()
     began = time.perf_counter()
@@ -337,7 +337,7 @@ def test_killed_at_random_moments(job, whole):
     longest = time.perf_counter() - began
     job.output.unlink()
     moments, killed, resumed = random.Random(1), 0, 0
-    while killed < 8:
+    while killed < 20:
         process = job.start()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(timeout=moments.uniform(0.0, longest))

@@ -19,7 +19,8 @@ from jaxtyping import Int
 from jaxnh.analyses.base import LANE, Analysis, Setting, SweepLanes, SweepReduction, variable
 from jaxnh.analyses.basins.boundary import boundary_variables, check_plane
 from jaxnh.analyses.basins.classification import POINTS, Attractors
-from jaxnh.analyses.basins.clustering import find_attractors, join_attractors
+from jaxnh.analyses.basins.clustering import find_attractors
+from jaxnh.analyses.basins.comparison import join_attractors
 from jaxnh.analyses.basins.continuation import ContinuedAttractors, Grid, continue_attractors
 from jaxnh.analyses.basins.paths import batch_from_points, record_points
 from jaxnh.analyses.basins.settling import FAILED, LaneRecords, settle

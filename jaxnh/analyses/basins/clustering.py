@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from jaxnh.analyses.basins.classification import (
     CHAOTIC,
@@ -25,12 +25,11 @@ from jaxnh.analyses.basins.classification import (
     LIMIT_CYCLE,
     NONE,
     PERIODIC,
-    POINTS,
     Attractors,
     classify,
 )
-from jaxnh.analyses.basins.paths import follow_paths, pad_points, stays_near
-from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
+from jaxnh.analyses.basins.comparison import distances, join_attractors, mean_distances, same_attractors, stay_near
+from jaxnh.analyses.basins.paths import follow_paths
 from jaxnh.analyses.basins.settling import (
     CONSERVATIVE,
     FAILED,
@@ -50,9 +49,7 @@ from jaxnh.systems.flow import NOT_FINITE
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
 _FRUITLESS = 4  # times in turn that lanes of one cluster are judged in vain
 _SEEDS = 4  # of restless lanes, likewise
-_SAME_ORBIT = 1e-6  # of the largest motion on an attractor of the sweep
 _CLEARLY = 2.0  # times as far as from its attractor is a lane from every other one, or not near to it
-_MOSTLY = 0.95  # of the points of a set lie within the largest spacing that those of another look have
 
 
 class Assignment(NamedTuple):
@@ -191,7 +188,7 @@ def _was_on(chart: Chart, target: Attractors, records: LaneRecords) -> Bool[np.n
     """Return whether motions were on a chaotic set in their last window, by place and by means within their gap."""
     unit = records.unit * (records.gap / (2.0 * SETTLED_TO))[:, None]
     alike = np.all(np.abs(records.means - target.means) <= unit + target.unit, axis=1)
-    alike[alike] = _distances(chart, target, records.u[alike], records.size[alike]) <= 1.0
+    alike[alike] = distances(chart, target, records.u[alike], records.size[alike]) <= 1.0
     return alike
 
 
@@ -210,7 +207,7 @@ def _far_from_leaders(
             away[members] = True
         elif len(members) > 1:
             leader: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
-            away[members] = _distances(chart, leader, records.u[members], records.size[members]) > 1.0
+            away[members] = distances(chart, leader, records.u[members], records.size[members]) > 1.0
     return away
 
 
@@ -241,13 +238,13 @@ def match(
         subset = settled[point[settled] == assignment.point[k]]
         fits = np.all(np.abs(records.means[subset] - attractor.means) <= records.unit[subset] + attractor.unit, axis=1)
         subset = subset[fits if of_leader is None else fits | (of_leader[subset] == k)]
-        distance = _distances(batch.chart, attractor, records.u[subset], records.size[subset])
+        distance = distances(batch.chart, attractor, records.u[subset], records.size[subset])
         staying = np.flatnonzero(point[restless] == assignment.point[k])
         if len(staying):
-            staying = staying[_stay_near(batch, attractor, paths[staying])]
+            staying = staying[stay_near(batch, attractor, paths[staying])]
             subset, distance = (
                 np.append(subset, restless[staying]),
-                np.append(distance, _mean_distances(batch, attractor, paths[staying])),
+                np.append(distance, mean_distances(batch, attractor, paths[staying])),
             )
         nearer = distance < first[subset]
         second[subset] = np.where(nearer, first[subset], np.minimum(second[subset], distance))
@@ -256,34 +253,6 @@ def match(
     shown = (first <= 1.0) & (second > np.minimum(1.0, _CLEARLY * first))
     shown[restless] = nearest[restless] >= 0
     assignment.number[shown] = nearest[shown]
-
-
-def _mean_distances(
-    batch: LaneBatch, target: Attractors, paths: Float[np.ndarray, "lanes followed d"]
-) -> Float[np.ndarray, " lanes"]:
-    """Return the mean distances of the points of paths from an attractor, in units of its margin."""
-    every = paths.reshape(-1, paths.shape[2])
-    return _distances(batch.chart, target, every, np.zeros_like(every)).reshape(paths.shape[:2]).mean(axis=1)
-
-
-def _distances(
-    chart: Chart, target: Attractors, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
-) -> Float[np.ndarray, " lanes"]:
-    """Return the distances of section points from an attractor, in units of its margin for lanes of these sizes."""
-    if not len(u):
-        return np.zeros(0)
-    turns = max(1, int(target.period)) if target.kind in (PERIODIC, EQUILIBRIUM) else len(target.points)
-    away = offsets(point_set(chart, target.points[:turns], target.steps[:turns], target.size, size.max(axis=0)), u)
-    unit = np.where(chart.angles, 1.0, np.maximum(target.size, size))
-    return np.max(np.abs(away) / np.where(unit > 0.0, unit, 1.0), axis=1) / float(target.margin)
-
-
-def _stay_near(
-    batch: LaneBatch, target: Attractors, paths: Float[np.ndarray, "lanes followed d"]
-) -> Bool[np.ndarray, " lanes"]:
-    """Return whether paths stay near an attractor."""
-    edge = target.near * np.where(target.size > 0.0, target.size, 1.0)
-    return stays_near(np.array(batch.chart.angles), paths, target.points, edge)
 
 
 def _representatives(
@@ -339,7 +308,7 @@ def _add_attractors(
         known = [] if assignment.attractors is None else [(0, assignment.attractors, assignment.point)]
         known += [(before, select(judged, np.array(new)), point[new])] if new else []
         for first, others, at in known:
-            same = _match_attractors(chart, target, others, largest, at == point[k])
+            same = same_attractors(chart, target, others, largest, at == point[k])
             if np.any(same):
                 place[k] = first + int(np.argmax(same))
                 break
@@ -352,56 +321,3 @@ def _add_attractors(
         every = join_attractors([assignment.attractors, added])
     of_each = np.concatenate([assignment.point, point[new].astype(int)])
     return Assignment(assignment.number, of_each, every, assignment.judged + len(point)), place
-
-
-def join_attractors(parts: Sequence[Attractors]) -> Attractors:
-    """Concatenate attractors, padded to the same number of points."""
-    most = max(part.points.shape[1] for part in parts)
-    filled = [pad_points(part.points, part.steps, most) for part in parts]
-    even = [part._replace(points=points, steps=steps) for part, (points, steps) in zip(parts, filled, strict=True)]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *even)
-
-
-def _match_attractors(
-    chart: Chart,
-    first: Attractors,
-    others: Attractors,
-    largest: Float[np.ndarray, " d"],
-    same_point: Bool[np.ndarray, " others"],
-) -> Bool[np.ndarray, " others"]:
-    """Return whether each attractor at the same point is the given one: orbits share a point, others fill one set."""
-    if first.kind in (PERIODIC, EQUILIBRIUM):
-        return same_orbits(chart, first, others, largest) & same_point
-    alike = (others.kind == first.kind) & same_point
-    for k in np.flatnonzero(alike):
-        alike[k] = same_set(chart, first, jax.tree.map(lambda leaf, k=k: leaf[k], others))
-    return alike
-
-
-def same_set(chart: Chart, first: Attractors, second: Attractors) -> bool:
-    """Return whether two motions fill the same set: the points of each lie within the spacing of the other's.
-
-    Of chaos the points of one are enough, as a finite look need not have visited all of it.
-    """
-    margin, within = max(float(first.margin), float(second.margin)), list[bool]()
-    for a, b in ((first, second), (second, first)):
-        points = a.points[:: max(1, len(a.points) // POINTS)]
-        inside = lie_within(point_set(chart, b.points, b.steps, b.size), points, b.size, margin)
-        within.append(bool(np.mean(inside) >= _MOSTLY))
-    return any(within) if first.kind == CHAOTIC else all(within)
-
-
-def same_orbits(
-    chart: Chart, first: Attractors, others: Attractors, largest: Float[np.ndarray, " d"]
-) -> Bool[np.ndarray, " others"]:
-    """Return whether each attractor is an equilibrium or orbit of the same kind and period through the point `u`."""
-    turns = int(first.period)
-    points = others.points[:, :turns] if turns else others.u[:, None]
-    apart = np.abs(chart.wrap(points - first.u))
-    alike = (others.kind == first.kind) & (others.period == first.period)
-    return alike & np.any(np.all(apart <= same_within(largest), axis=-1), axis=1)
-
-
-def same_within(largest: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
-    """Return the largest distance between points of one orbit, from the largest motion of a sweep."""
-    return _SAME_ORBIT * np.where(largest > 0.0, largest, 1.0)

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.basins.classification import CHAOTIC, EQUILIBRIUM, PERIODIC, POINTS, Attractors
-from jaxnh.analyses.basins.clustering import Assignment, match, same_orbits, same_within
+from jaxnh.analyses.basins.clustering import Assignment, match
+from jaxnh.analyses.basins.comparison import same_orbits, same_within
 from jaxnh.analyses.basins.paths import batch_from_points
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, resume, settle
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select

@@ -223,29 +223,8 @@ def advance(
     system = strobes.system
     wanted = system.contraction or len(growth.logs) == system.exponents or system.loses_rank
 
-    def part(growth: TangentState, strobe: ReturnMap) -> tuple[TangentState, None]:
-        flow: Flow = strobe.system
-        pushed = strobe.pushforward(
-            growth.state, p, tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents), wanted
-        )
-        moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
-        singular = jnp.isneginf(pushed.log_volume) if flow.loses_rank else None
-        if flow.autonomous:
-            tangents, grown = _orthonormalise_across(flow, growth.state, pushed.state, moved, p, singular)
-        else:
-            tangents, grown = gram_schmidt(moved, singular)
-        logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
-        largest = jnp.maximum(grown[0], grown[1]) if flow.autonomous else grown[0]
-        shrunk, far = largest - grown[-1], jnp.maximum(jnp.abs(largest), jnp.abs(grown[-1]))
-        if flow.loses_rank:  # what has vanished needs no digits
-            shrunk = jnp.max(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, largest - g) for g in grown]))
-            far = jnp.max(jnp.abs(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, g) for g in (largest, grown[-1])])))
-        loss = jnp.maximum(growth.loss, jnp.maximum(shrunk, _AS_LOSS * far))
-        volume = growth.volume + pushed.log_volume if wanted else growth.volume
-        return growth._replace(state=pushed.state, tangents=tangents, logs=logs, volume=volume, loss=loss), None
-
     def period(growth: TangentState) -> TangentState:
-        after, _ = lax.scan(part, growth, strobes)
+        after, _ = lax.scan(lambda growth, strobe: (_pushed(strobe, growth, p, wanted), None), growth, strobes)
         if quadrature is not None:
             after = after._replace(divergence=growth.divergence + _divergence(quadrature, growth.state, p))
         return after
@@ -257,23 +236,12 @@ def advance(
         """The middle of stretch i of n in the whole average."""
         return first + (i + 0.5) / (jnp.float64(n) * BLOCKS)
 
-    def with_sums(before: TangentState, after: TangentState, weights: Mapping[int, Array]) -> TangentState:
-        """A later state with what has grown in some of its smooth sums, by the weight of each."""
-        grown = [new - old for new, old in zip((*after.logs, after.volume), (*before.logs, before.volume), strict=True)]
-        smooth = list(after.smooth)
-        for k, weight in weights.items():
-            smooth[k] = tuple(sum_ + weight * g for sum_, g in zip(smooth[k], grown, strict=True))
-        return after._replace(smooth=tuple(smooth))
+    def weighted_period(i: Array, growth: TangentState) -> TangentState:
+        weights = moment_weights(shares(jnp.float64(i), count))
+        return _with_sums(growth, period(growth), dict(enumerate(weights)))
 
     if system.continuous:
-        return lax.fori_loop(
-            0,
-            count,
-            lambda i, growth: with_sums(
-                growth, period(growth), dict(enumerate(moment_weights(shares(jnp.float64(i), count))))
-            ),
-            growth,
-        )
+        return lax.fori_loop(0, count, weighted_period, growth)
     # An iterate of a map costs less than all sums and weights: those of higher powers, which tell a drift, are of
     # several iterates at once, and weights are made for these together.
     together = jnp.gcd(jnp.int32(count), _ITERATES)
@@ -282,13 +250,48 @@ def advance(
         whole, half = half_window_weights(shares(jnp.float64(i * together) + jnp.arange(float(_ITERATES)), count))
 
         def iterate(j: Array, growth: TangentState) -> TangentState:
-            return with_sums(growth, period(growth), {0: whole[j], DEGREE + 1: half[j]})
+            return _with_sums(growth, period(growth), {0: whole[j], DEGREE + 1: half[j]})
 
         after = lax.fori_loop(0, together, iterate, growth)
         weights = moment_weights(shares(jnp.float64(i), count // together))
-        return with_sums(growth, after, {k: weights[k] for k in range(1, DEGREE + 1)})
+        return _with_sums(growth, after, {k: weights[k] for k in range(1, DEGREE + 1)})
 
     return lax.fori_loop(0, count // together, iterates, growth)
+
+
+def _pushed(strobe: ReturnMap, growth: TangentState, p: Parameters, volume: bool) -> TangentState:
+    """A state after one part of a period, its tangents orthonormal, their growth and that of volume in the sums."""
+    flow: Flow = strobe.system
+    lifted = tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents)
+    pushed = strobe.pushforward(growth.state, p, lifted, volume)
+    moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
+    singular = jnp.isneginf(pushed.log_volume) if flow.loses_rank else None
+    if flow.autonomous:
+        tangents, grown = _orthonormalise_across(flow, growth.state, pushed.state, moved, p, singular)
+    else:
+        tangents, grown = gram_schmidt(moved, singular)
+    logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
+    largest = jnp.maximum(grown[0], grown[1]) if flow.autonomous else grown[0]
+    shrunk, far = largest - grown[-1], jnp.maximum(jnp.abs(largest), jnp.abs(grown[-1]))
+    if flow.loses_rank:  # what has vanished needs no digits
+        shrunk = jnp.max(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, largest - g) for g in grown]))
+        far = jnp.max(jnp.abs(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, g) for g in (largest, grown[-1])])))
+    return growth._replace(
+        state=pushed.state,
+        tangents=tangents,
+        logs=logs,
+        volume=growth.volume + pushed.log_volume if volume else growth.volume,
+        loss=jnp.maximum(growth.loss, jnp.maximum(shrunk, _AS_LOSS * far)),
+    )
+
+
+def _with_sums(before: TangentState, after: TangentState, weights: Mapping[int, Array]) -> TangentState:
+    """A later state with what has grown in some of its smooth sums, by the weight of each."""
+    grown = [new - old for new, old in zip((*after.logs, after.volume), (*before.logs, before.volume), strict=True)]
+    smooth = list(after.smooth)
+    for k, weight in weights.items():
+        smooth[k] = tuple(sum_ + weight * g for sum_, g in zip(smooth[k], grown, strict=True))
+    return after._replace(smooth=tuple(smooth))
 
 
 def _divergence(quadrature: Quadrature, state: State, p: Parameters) -> Array:
