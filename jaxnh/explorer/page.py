@@ -68,7 +68,7 @@ class Page:
         """
         self._source, self._worker, self._document = opened.source, worker, document
         self._saved, self._overlays, self._run, self._reopen = opened.saved, opened.overlays, run, reopen
-        first, self._wrong = self._first(query)
+        first, self._refused = self._first(query)  # why nothing else is shown, until another view is
         self._history = History([first])
         self._picture: Picture | None = None
         self._layers: dict[tuple[str, str], Sequence[Layer]] = {}
@@ -212,13 +212,15 @@ class Page:
         try:
             view = change()
         except (JaxnhError, ValueError) as error:
-            self._say(str(error), error=True)
+            self._refuse(str(error))
             return
+        self._refused = ""
         if self._history.go(view):
             self._look()
 
     def _move(self, steps: int) -> None:
         self._history.move(steps)
+        self._refused = ""
         self._look()
 
     def _go_whole(self) -> None:
@@ -267,14 +269,14 @@ class Page:
 
     def _edit(self) -> None:
         if self._run is None:
-            self._say(_REFUSED, error=True)
+            self._refuse(_REFUSED)
         elif self._editor is not None:
             self._editor.toggle()
 
     def _run_texts(self, texts: dict[Path, str]) -> None:
         run, editor = self._run, self._editor
         if run is None or editor is None:
-            self._say(_REFUSED, error=True)
+            self._refuse(_REFUSED)
             return
 
         def answer(opened: PageContent | None) -> None:
@@ -306,11 +308,16 @@ class Page:
         if report.whole and self._picture is not None:
             self._say(self._picture.words)
 
+    def _refuse(self, why: str) -> None:
+        """Say under the picture why what was asked for is not done, where no progress of a pass is written over it."""
+        self._refused = why
+        self._note(self._picture.notes if self._picture else ())
+
     def _note(self, notes: Sequence[str]) -> None:
-        """Notes under the picture, limits of an atlas, and of the first view why an address names none."""
+        """Notes under the picture, limits of an atlas, and why what was asked for last is refused."""
         limits = [limit for groups in self._overlays for limit in limits_of(groups)]
-        wrong = [self._wrong] if self._wrong and self._history.place == 0 else []
-        lines = [*(("status error", text) for text in wrong), *(("notes", text) for text in (*notes, *limits))]
+        refused = [self._refused] if self._refused else []
+        lines = [*(("status error", text) for text in refused), *(("notes", text) for text in (*notes, *limits))]
         self._notes.object = "".join(f"<div class='{kind}'>{html.escape(text)}</div>" for kind, text in lines)
 
     def _say(self, text: str, *, error: bool = False) -> None:

@@ -628,9 +628,13 @@ def test_windows_and_branches_are_laid_over_a_plane_at_the_other_parameter_of_th
 
 @pytest.mark.slow  # `test_edited_files` asks the page without a browser
 def test_files_are_not_edited_from_elsewhere(tab, sites):
+    """The sentence stays while the first picture is computed and after it."""
     page = tab(sites["map"])
     page.get_by_role("button", name="Edit the files").click()
-    page.get_by_text("files are edited on the loopback alone").wait_for()
+    refusal = page.get_by_text("files are edited on the loopback alone")
+    refusal.wait_for()
+    whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
+    assert refusal.is_visible()
 
 
 def maps_of(process):
