@@ -69,6 +69,34 @@ def points_and_end(
     return lanes.observe(strobe, count, (state, p), _point_of, (batch.system,), tile=tile)
 
 
+def shear_along_flow(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes points d"],
+    size: Float[np.ndarray, "lanes d"],
+    tile: int | None = None,
+) -> Float[np.ndarray, "lanes points d d"]:
+    """Return triangles that take tangents of a section to coordinates across the flow, where lengths are as in space.
+
+    A tangent of a section and its projection along the flow onto the plane across it are of one motion nearby. Where
+    the flow is nearly tangent to the section, the section's tangents are nearly all along it.
+
+    Args:
+        u: points on the section.
+        size: of the motion in each section coordinate; tangents and lengths are in these.
+    """
+    points, (count, d) = u.reshape(-1, u.shape[2]), u.shape[1:]
+    p = {name: np.repeat(values, count) for name, values in batch.p.items()}
+    rate, basis = (np.array(leaf) for leaf in lanes(_rate_and_basis, (batch.system,), (points, p), tile=tile))
+    scaled = basis * np.repeat(size, count, axis=0)[:, None, :]
+    extent = np.sqrt(np.sum(scaled**2, axis=2))  # of the motion in each coordinate of space
+    extent = np.where(extent > 0.0, extent, np.max(extent, axis=1, keepdims=True))
+    scaled, rate = scaled / extent[:, :, None], rate / extent
+    rate /= np.linalg.norm(rate, axis=1, keepdims=True)
+    across = scaled - rate[:, :, None] * np.einsum("pi,pij->pj", rate, scaled)[:, None]
+    return np.linalg.qr(across)[1].reshape(len(u), count, d, d)
+
+
 def on_constraints(system: System, u: Float[Array, " d"], p: Parameters) -> tuple[Float[Array, " d"], State]:
     """Return the point on the constraints near section coordinates, and its state of the flow, of one lane."""
     state = system.chart.state(u)
@@ -81,6 +109,17 @@ def on_constraints(system: System, u: Float[Array, " d"], p: Parameters) -> tupl
 
 def _rates_at(system: Section, u: Float[Array, " d"], p: Parameters) -> Float[Array, " rates"]:
     return jnp.stack(rates(system.flow, system.chart.state(u).state, p))
+
+
+def _rate_and_basis(
+    system: Section, u: Float[Array, " d"], p: Parameters
+) -> tuple[Float[Array, " space"], Float[Array, "space d"]]:
+    """Rates of the coordinates of space at a point of a section, and what its coordinate directions are there."""
+    state, zero = system.chart.state(u).state, jnp.zeros_like(u[0])
+    columns = [jax.jvp(system.chart.state, (u,), (e,))[1].state for e in jnp.eye(system.chart.dimension)]
+    chart = system.flow.chart
+    rate = chart.lower(state, system.flow.rhs(zero, state, p))
+    return jnp.stack(rate), jnp.stack([jnp.stack(chart.lower(state, each)) for each in columns], axis=-1)
 
 
 def _point_of(system: System, state: State) -> Float[Array, " d"]:

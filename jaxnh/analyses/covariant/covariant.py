@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, Int8
 
 from jaxnh.analyses.base import (
     LANE,
@@ -28,8 +28,23 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
-from jaxnh.analyses.covariant.hyperbolicity import KINDS, SPLITS, TANGENT, judge, judge_splits
-from jaxnh.analyses.covariant.vectors import CovariantVectors, covariant_vectors, smallest_angles, volume_growth
+from jaxnh.analyses.covariant.hyperbolicity import (
+    KINDS,
+    SPLITS,
+    TANGENT,
+    judge,
+    judge_search,
+    judge_splits,
+    small_angles,
+)
+from jaxnh.analyses.covariant.least_angles import SearchedMotions, least_angles, searched_returns
+from jaxnh.analyses.covariant.vectors import (
+    CovariantVectors,
+    covariant_vectors,
+    sheared,
+    smallest_angles,
+    volume_growth,
+)
 from jaxnh.analyses.exponents.errors import Average, average_blocks
 from jaxnh.analyses.exponents.estimates import step_error
 from jaxnh.analyses.exponents.triangles import HIDDEN
@@ -37,7 +52,7 @@ from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import CovariantOptions
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
-from jaxnh.analyses.section_points import points_at
+from jaxnh.analyses.section_points import points_at, shear_along_flow
 from jaxnh.analyses.trajectories.states import check_transient, section_attrs, settle_lanes
 from jaxnh.maps.iterate import derivative_and_volume
 from jaxnh.maps.section import reports
@@ -45,6 +60,7 @@ from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.state import LaneStates, is_finite
 
 _DERIVATIVE = 7.0  # periods that one with three tangents takes as long as, for the expected work
+_SETTLED = 4  # returns that directions settle in, for the expected work of a search
 _SETTLING = 8  # part of the strobes that either sweep takes more
 _ROOM = 1 << 25  # numbers of frames and triangles in memory at once
 _BINS = 36
@@ -59,6 +75,7 @@ class Motions(NamedTuple):
     Attributes:
         states: after each return, (lanes, points).
         u: section coordinates, (lanes, points, d).
+        size: of the motion in each of them, (lanes, d).
         matrices: derivatives of the map there, in sizes of the motion, (lanes, points, d, d).
         volumes: moduli of their determinants, by the map itself, (lanes, points).
         sound: whether all of it is finite and no matrix is zero, (lanes,).
@@ -66,6 +83,7 @@ class Motions(NamedTuple):
 
     states: LaneStates
     u: Float[np.ndarray, "lanes points d"]
+    size: Float[np.ndarray, "lanes d"]
     matrices: Float[np.ndarray, "lanes points d d"]
     volumes: Float[np.ndarray, "lanes points"]
     sound: Bool[np.ndarray, " lanes"]
@@ -73,7 +91,7 @@ class Motions(NamedTuple):
 
 def periods(options: CovariantOptions, lanes: int) -> float:
     """Return the lane-periods of a run; a period with tangents costs one and about two more for each."""
-    return float(lanes * (options.transient + _points(options) * (1.0 + _DERIVATIVE)))
+    return _following(options, lanes) + lanes * options.search * searched_returns(_SETTLED) * (1.0 + _DERIVATIVE)
 
 
 def check(options: CovariantOptions, setting: Setting) -> None:
@@ -88,14 +106,17 @@ def run(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Da
     d = batch.chart.dimension
     at_once = max(1, _ROOM // (3 * _points(options) * d * d))
     parts = []
-    with lanes.stage(f"covariant: {batch.count:,} lanes", periods(options, batch.count)):
-        for first in range(0, batch.count, at_once):
-            parts.append(_variables(options, batch.take(slice(first, first + at_once)), lanes))
+    for first in range(0, batch.count, at_once):
+        parts.append(_variables(options, batch.take(slice(first, first + at_once)), lanes))
     joined = {
         name: (dims, np.concatenate([part[name][1] for part in parts]) if dims[0] == LANE else values, attrs)
         for name, (dims, values, attrs) in parts[0].items()
     }
-    return xr.Dataset(joined, attrs={"strobes": options.strobes, **section_attrs(batch)})
+    return xr.Dataset(joined, attrs={"strobes": options.strobes, "search": options.search, **section_attrs(batch)})
+
+
+def _following(options: CovariantOptions, lanes: int) -> float:
+    return float(lanes * (options.transient + _points(options) * (1.0 + _DERIVATIVE)))
 
 
 def _points(options: CovariantOptions) -> int:
@@ -117,7 +138,7 @@ def _motions(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> 
     matrices = matrices * (size[:, None, None, :] / size[:, None, :, None])
     sound &= np.min(np.max(np.abs(matrices), axis=(2, 3)), axis=1) > 0.0
     matrices[~sound], volumes[~sound] = np.eye(d), 1.0
-    return Motions(states, u, matrices, volumes, sound)
+    return Motions(states, u, size, matrices, volumes, sound)
 
 
 def _sizes(
@@ -132,13 +153,17 @@ def _sizes(
 
 
 def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, Entry]:
-    motions = _motions(options, batch, lanes)
+    with lanes.stage(f"covariant: {batch.count:,} lanes", _following(options, batch.count)):
+        motions = _motions(options, batch, lanes)
     settling = options.strobes // _SETTLING
     neutral = int(batch.flow.autonomous and batch.flow is batch.system)
     k = batch.flow.exponents - int(batch.flow.autonomous) + neutral
     whole = k == motions.u.shape[2]  # with constraints volumes are those of other coordinates
     vectors = covariant_vectors(motions.matrices, settling, k, motions.volumes if whole else None)
-    angles = smallest_angles(vectors)
+    points, seen = motions.u[:, settling : settling + options.strobes], vectors
+    if batch.flow is not batch.system:
+        seen = sheared(vectors, shear_along_flow(batch, lanes, points, motions.size, ORBIT_TILE))
+    angles = smallest_angles(seen)
     each = _exponents(batch, motions, vectors, settling)
     hidden = np.all(vectors.rounding >= HIDDEN, axis=1)
     sound = motions.sound
@@ -146,6 +171,11 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
     vanishing = np.zeros((batch.count, k), np.bool_)
     if isinstance(batch.system, DiscreteMap):  # flows have an inverse
         vanishing = judge_splits(np.exp(volume_growth(vectors))) == TANGENT
+    searched = {}
+    if options.search:
+        growing = np.where(sound, np.sum(each.mean[:, :k] > each.error[:, :k], axis=1), 0)
+        motion = SearchedMotions(batch, lanes, points, motions.size, vectors, angles)
+        searched["angle_found"] = _search(motion, growing, neutral, options.search, splits)
     kind = judge(splits, each.mean[:, :k], each.error[:, :k], each.mean[:, k:], each.error[:, k:], neutral, vanishing)
     ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], motions.states))["status"]
     density = _densities(angles)
@@ -168,10 +198,35 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
         "angle_min": variable(between, np.min(angles, axis=-1), words, "rad"),
         "angle_min_half": variable(between, shares[1], f"{words}, of the first half of the points", "rad"),
         "angle_min_quarter": variable(between, shares[0], f"{words}, of the first quarter of the points", "rad"),
+        **{name: variable(between, values, f"{words}, by a search", "rad") for name, values in searched.items()},
         "angle_median": variable(between, np.median(angles, axis=-1), "median of the angle", "rad"),
         "angle_density": variable((LANE, "split", "angle"), density, "density of the angle", "1/rad"),
         "status": as_variable(LANE, ended),
     }
+
+
+def _search(
+    motions: SearchedMotions,
+    growing: Int[np.ndarray, " lanes"],
+    neutral: int,
+    rounds: int,
+    splits: Int8[np.ndarray, "lanes splits"],
+) -> Float[np.ndarray, "lanes splits"]:
+    """Return the smallest angles that a search finds where vectors cease to grow, and change what is said of them.
+
+    Both sides of the direction along a flow in time alone are such places. Where angles of the motions are those of a
+    tangency, none is looked for.
+    """
+    found = np.full(splits.shape, np.nan)
+    for along in sorted({0, neutral}):
+        first = growing + along
+        (which,) = np.nonzero((growing > 0) & (first <= splits.shape[1]))
+        which = which[splits[which, first[which] - 1] != TANGENT]
+        at = which, first[which] - 1
+        some = motions.take(which)
+        least = least_angles(some, small_angles(motions.angles)[at], first[which], neutral - along, rounds)
+        splits[at], found[at] = judge_search(splits[at], least, np.min(motions.angles[at], axis=-1)), least.angle
+    return found
 
 
 def _densities(angles: Float[np.ndarray, "lanes splits points"]) -> Float[np.ndarray, "lanes splits bins"]:

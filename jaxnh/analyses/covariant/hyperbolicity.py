@@ -13,6 +13,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int8
 
+from jaxnh.analyses.covariant.least_angles import LeastAngles
+
 SPLITS = ("bounded", "tangent", "undecided")
 """Meanings of the flags 0 to 2 of `tangency`."""
 
@@ -24,6 +26,7 @@ BOUNDED, TANGENT, UNDECIDED = range(len(SPLITS))
 _SHARE, _NEARER = 0.05, 8.0  # of the angles, below whose largest they are counted; how much nearer to zero
 _ENOUGH = 5.0  # expected angles: none of them is seen by chance once in 150 times
 _GOOD_PART = 0.25
+_HALF = 0.5
 _TREND, _FURTHER = 16, 4  # the smallest angle beside that of so many times fewer points; times as far in ln(length)
 
 
@@ -34,8 +37,7 @@ def judge_splits(angles: Float[np.ndarray, "lanes splits points"]) -> Int8[np.nd
     does from there, in proportion to the logarithm of the length, it is above zero in a run 16⁴ times as long.
     """
     expected = _SHARE * angles.shape[-1] / _NEARER
-    near = np.quantile(angles, _SHARE, axis=-1, keepdims=True) / _NEARER
-    count = np.sum(angles < near, axis=-1)
+    count = np.sum(angles < small_angles(angles)[..., None], axis=-1)
     lowest = np.partition(angles, (0, _TREND - 1), axis=-1)
     smallest, before = lowest[..., 0], lowest[..., _TREND - 1]
     stays = smallest > _FURTHER * (before - smallest)
@@ -44,6 +46,28 @@ def judge_splits(angles: Float[np.ndarray, "lanes splits points"]) -> Int8[np.nd
         (count >= _GOOD_PART * expected) & (expected >= _ENOUGH),
     ]
     return np.select(conditions, [BOUNDED, TANGENT], UNDECIDED).astype(np.int8)
+
+
+def small_angles(angles: Float[np.ndarray, "lanes splits points"]) -> Float[np.ndarray, "lanes splits"]:
+    """Return an eighth of the angles that one in twenty fall short of."""
+    return np.quantile(angles, _SHARE, axis=-1) / _NEARER
+
+
+def judge_search(
+    splits: Int8[np.ndarray, " lanes"], least: LeastAngles, smallest: Float[np.ndarray, " lanes"]
+) -> Int8[np.ndarray, " lanes"]:
+    """Return what is so of angles after a search beside the motions, numbers in `SPLITS`.
+
+    A change of sign is a tangency. An angle that the motions say is bounded is not known to be, where the search has
+    found less than half of the smallest one of the motions, or if it would come to zero going on as in its second half
+    for four times as long.
+
+    Args:
+        smallest: angle of the motions.
+    """
+    falls = least.angle <= _FURTHER * (least.before - least.angle)
+    doubtful = (splits == BOUNDED) & (falls | (least.angle < _HALF * smallest))
+    return np.select([least.crossed, doubtful], [TANGENT, UNDECIDED], splits).astype(np.int8)
 
 
 def judge(

@@ -69,6 +69,14 @@ def covariant_vectors(
     return CovariantVectors(*(np.moveaxis(leaf, 0, 1) for leaf in every))
 
 
+def sheared(vectors: CovariantVectors, shear: Float[np.ndarray, "lanes points d d"]) -> CovariantVectors:
+    """Return vectors in other coordinates at each point, their growth as it was."""
+    frames, triangles = np.linalg.qr(shear @ vectors.frames)
+    coefficients = triangles @ vectors.coefficients
+    coefficients /= np.linalg.norm(coefficients, axis=-2, keepdims=True)
+    return vectors._replace(frames=frames, coefficients=coefficients)
+
+
 def volume_growth(vectors: CovariantVectors) -> Float[np.ndarray, "lanes k points"]:
     """Return the logarithms of what the map makes of the volumes that the first 1, …, k vectors span, at each point."""
     with np.errstate(divide="ignore"):

@@ -132,3 +132,6 @@ class CovariantOptions(Options):
 
     transient: int = Field(default=512, ge=0, description="Periods, or crossings, before vectors are looked for")
     strobes: int = Field(default=2048, ge=256, description="Points that angles and exponents are taken from")
+    search: int = Field(
+        default=0, ge=0, description="Rounds of a search for smaller angles beside the motions; 0: none"
+    )

@@ -1,0 +1,403 @@
+"""The smallest angle of directions that grow and shrink on an attractor, by a search beside its motions. Host code.
+
+Tangencies may be in parts of an attractor that motions seldom visit, as near the stable manifold of an equilibrium. The
+attractor has the unstable manifolds of its points: a point that is moved along the directions that grow, and followed
+for as long as what is across them takes to shrink away, is on it again, at another place of the same leaf. So points of
+small angle are moved, some returns before, by lengths even in their logarithm or near the one that has helped last, and
+of each the best is kept: an evolution strategy on the leaves (Beyer and Schwefel, Natural Computing 1 (2002) 3). That a
+rare event is looked for by small changes long before it is as in importance sampling of chaotic motions (Leitão, Lopes
+and Altmann, Phys. Rev. Lett. 110 (2013) 220601).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.covariant.vectors import CovariantVectors
+from jaxnh.analyses.exponents.triangles import orthonormalise
+from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
+from jaxnh.analyses.section_points import points_at, shear_along_flow, states_at
+from jaxnh.maps.iterate import derivative_and_volume
+
+ISLANDS = 8
+"""Points of each lane that are moved, each by itself."""
+
+CHILDREN = 8
+"""Ways in which each is moved at once."""
+
+MOST_RETURNS = 64
+"""Returns that directions may take to settle; where they take more, no angle is looked for."""
+
+_SETTLED = 23.0  # directions settle to e^−23 on average
+_LONGEST, _SHORTEST = 0.3, 1e-9  # lengths of moves, in sizes of the motion
+_SPREAD = 1.0  # of the logarithm of lengths about the one that has helped last
+_AT_ONCE = 1 << 22  # numbers of derivatives in memory
+_PATH = 3  # times as many returns as directions settle in: forward, points that count, backward
+_DERIVATIVE = 7.0  # periods that one with three tangents takes as long as, for the expected work
+_MOST_STRETCH = 23.0  # of one return, in logarithms: of positions known to 1e-16 derivatives still are, to 1e-3 or so
+_NEARBY = 0.1  # sizes of the motion between points whose directions are compared
+_ALIGNED = 0.5  # determinant of the cosines between them
+
+
+class LeastAngles(NamedTuple):
+    """What a search has found of each lane, not a number where none was made.
+
+    Attributes:
+        angle: the smallest angle, (lanes,), rad.
+        before: the smallest one after half of the rounds, (lanes,), rad.
+        crossed: whether two points nearby have small angles of different signs, so that between them there is a
+            tangency, (lanes,).
+    """
+
+    angle: Float[np.ndarray, " lanes"]
+    before: Float[np.ndarray, " lanes"]
+    crossed: Bool[np.ndarray, " lanes"]
+
+
+class SearchedMotions(NamedTuple):
+    """Motions of lanes, at points where vectors are known.
+
+    Attributes:
+        batch: the lanes.
+        lanes: what runs them.
+        points: section coordinates, (lanes, points, d).
+        size: of the motion in each of them, which vectors and derivatives are measured in, (lanes, d).
+        vectors: at the points.
+        angles: between the first 1, …, k − 1 vectors and the others, (lanes, splits, points), rad.
+    """
+
+    batch: LaneBatch
+    lanes: LaneRunner
+    points: Float[np.ndarray, "lanes points d"]
+    size: Float[np.ndarray, "lanes d"]
+    vectors: CovariantVectors
+    angles: Float[np.ndarray, "lanes splits points"]
+
+    def take(self, which: Int[np.ndarray, " some"]) -> SearchedMotions:
+        """Return the motions of some lanes."""
+        points, size, vectors, angles = select(self[2:], which)
+        return SearchedMotions(self.batch.take(which), self.lanes, points, size, vectors, angles)
+
+
+class _Scene(NamedTuple):
+    """What is searched.
+
+    Attributes:
+        batch: lanes.
+        lanes: what runs them.
+        size: of the motion in each coordinate, (lanes, d).
+        small: angles below which signs are compared, (lanes,), rad.
+        j: number of the first vectors, whose angle with the others is looked for.
+        n: returns that directions take to settle.
+    """
+
+    batch: LaneBatch
+    lanes: LaneRunner
+    size: Float[np.ndarray, "lanes d"]
+    small: Float[np.ndarray, " lanes"]
+    j: int
+    n: int
+
+    def take(self, which: Int[np.ndarray, " some"]) -> _Scene:
+        """Return the scene of some lanes."""
+        return self._replace(batch=self.batch.take(which), size=self.size[which], small=self.small[which])
+
+
+class _Points(NamedTuple):
+    """Points n returns before others, and what is so at those.
+
+    Attributes:
+        u: section coordinates, (..., d).
+        frames: tangent there, of which the first columns span what grows, (..., d, k).
+        angle: n returns later, (...).
+        stretch: logarithm of what the last return before has made of volumes that grow, (...).
+        target: the point there, in sizes of the motion, (..., d).
+        directions: orthonormal ones that grow there, and orthonormal ones across those that shrink, (..., 2, d, j).
+    """
+
+    u: Float[np.ndarray, "*points d"]
+    frames: Float[np.ndarray, "*points d k"]
+    angle: Float[np.ndarray, "*points"]
+    stretch: Float[np.ndarray, "*points"]
+    target: Float[np.ndarray, "*points d"]
+    directions: Float[np.ndarray, "*points 2 d j"]
+
+    def put(self, where: tuple[Any, ...], others: _Points) -> None:
+        """Put others in the place of some points."""
+        for mine, theirs in zip(self, others, strict=True):
+            mine[where] = theirs
+
+    def take(self, where: tuple[Any, ...]) -> _Points:
+        """Return some of the points."""
+        return _Points(*(leaf[where] for leaf in self))
+
+
+def settling_returns(
+    growth: Float[np.ndarray, "lanes k"], growing: Int[np.ndarray, " lanes"], neutral: int
+) -> Int[np.ndarray, " lanes"]:
+    """Return in how many returns directions settle, a power of two, and 0 where more than `MOST_RETURNS` are needed.
+
+    Args:
+        growth: of the vectors, per return.
+        growing: number of the first vectors whose angle with the others is looked for, from 1 to k − 1.
+        neutral: number of vectors along the flow, after the growing ones.
+    """
+    k = growth.shape[1]
+    first, others, last = (
+        np.take_along_axis(growth, np.minimum(each, k - 1)[:, None], axis=1)[:, 0]
+        for each in (growing - 1, growing, growing + neutral)
+    )
+    rate = np.minimum(first - others, -last)
+    with np.errstate(divide="ignore"):
+        needed = np.where(rate > 0.0, _SETTLED / np.maximum(rate, 1e-300), np.inf)
+    known = needed <= MOST_RETURNS
+    return np.where(known, 2 ** np.ceil(np.log2(np.maximum(np.where(known, needed, 1.0), 1.0))), 0.0).astype(int)
+
+
+def searched_returns(n: int) -> int:
+    """Return how many returns one round follows in a lane whose directions settle in n."""
+    return ISLANDS * CHILDREN * _PATH * n
+
+
+def least_angles(
+    motions: SearchedMotions,
+    small: Float[np.ndarray, " lanes"],
+    growing: Int[np.ndarray, " lanes"],
+    neutral: int,
+    rounds: int,
+) -> LeastAngles:
+    """Return the smallest angles that are found between the first vectors and the others.
+
+    Args:
+        small: angles below which signs tell a tangency, (lanes,).
+        growing: number of the first vectors, from 1 to k − 1.
+        neutral: number of vectors along the flow that are next to them.
+        rounds: of moves.
+    """
+    batch = motions.batch
+    none = np.full(batch.count, np.nan)
+    found = LeastAngles(none, none.copy(), np.zeros(batch.count, bool))
+    returns = settling_returns(np.mean(motions.vectors.growth, axis=1), growing, neutral)
+    for j, n in sorted(set(zip(growing.tolist(), returns.tolist(), strict=True))):
+        (which,) = np.nonzero((growing == j) & (returns == n))
+        if n == 0:
+            continue
+        islands = _begin(motions.take(which), j, n)
+        scene = _Scene(batch.take(which), motions.lanes, motions.size[which], small[which], j, n)
+        work = float(len(which) * rounds * searched_returns(n) * (1.0 + _DERIVATIVE))
+        with motions.lanes.stage(f"covariant: smaller angles in {len(which):,} lanes", work):
+            for made, (least, crossed) in enumerate(_rounds(scene, islands, rounds), start=1):
+                found.angle[which], found.crossed[which] = least, crossed
+                if 2 * made <= rounds:
+                    found.before[which] = least
+    return found
+
+
+def _begin(motions: SearchedMotions, j: int, n: int) -> _Points:
+    """Return the points of smallest angle, none within n returns of another, as (lanes, islands)."""
+    points, frames, angles = motions.points, motions.vectors.frames, motions.angles[:, j - 1]
+    left, lane, targets = angles.copy(), np.arange(len(points))[:, None], []
+    left[:, :n] = np.inf
+    for _ in range(ISLANDS):
+        targets.append(np.argmin(left, axis=1))
+        left[np.abs(np.arange(left.shape[1]) - targets[-1][:, None]) < n] = np.inf
+    target = np.stack(targets, axis=1)
+    none = np.full((*target.shape, points.shape[2]), np.nan)
+    return _Points(
+        points[lane, target - n],
+        frames[lane, target - n],
+        angles[lane, target],
+        np.full(target.shape, -np.inf),
+        none,
+        np.tile(none[..., None, :, None], (2, 1, j)),
+    )
+
+
+def _rounds(
+    scene: _Scene, islands: _Points, rounds: int
+) -> Iterator[tuple[Float[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]]:
+    """Move points, the same way in every lane; yield the smallest angle of each lane, and where a tangency is shown.
+
+    The first half of the islands goes where angles are small. The others go where a return stretches most, which is
+    where angles may change over ever shorter lengths; the smallest angle that is met there, if it is smaller than all,
+    takes the place of the largest one of the first half.
+    """
+    draws, steep = np.random.default_rng(0), np.arange(ISLANDS) >= ISLANDS // 2
+    lengths, crossed = np.full(islands.angle.shape, _LONGEST), np.zeros(len(islands.angle), bool)
+    for _ in range(rounds):
+        even = np.exp(draws.uniform(np.log(_SHORTEST), np.log(_LONGEST), (ISLANDS, CHILDREN)))
+        factors = np.exp(draws.normal(0.0, _SPREAD, (ISLANDS, CHILDREN)))
+        ways = draws.normal(size=(ISLANDS, CHILDREN, scene.j))
+        ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+        (going,) = np.nonzero(~crossed)
+        if len(going):
+            parents, some = islands.take((going,)), scene.take(going)
+            near = np.minimum(lengths[going, :, None] * factors, _LONGEST)
+            length = np.where(np.arange(CHILDREN) % 2, even, near)
+            along = np.einsum("lidj,icj->licd", parents.frames[..., : scene.j], ways) * length[..., None]
+            moved = parents.u[:, :, None] + some.size[:, None, None] * along
+            by_angle, by_stretch = _children(some, moved, parents.frames)
+            crossed[going] = _crossed(some, parents, by_angle)
+            flat = _Points(*(leaf.reshape(len(going), -1, *leaf.shape[3:]) for leaf in by_angle))
+            for island in range(ISLANDS):
+                children = by_stretch if steep[island] else by_angle
+                score, old = (
+                    (-children.stretch[:, island], -parents.stretch[:, island])
+                    if steep[island]
+                    else (children.angle[:, island], parents.angle[:, island])
+                )
+                best = np.argmin(score, axis=1)
+                (of,) = np.nonzero(np.min(score, axis=1) < old)
+                islands.put((going[of], island), children.take((of, island, best[of])))
+                lengths[going[of], island] = length[of, island, best[of]]
+            angles = np.where(steep, np.inf, islands.angle[going])
+            best = np.argmin(flat.angle, axis=1)
+            (of,) = np.nonzero(np.min(flat.angle, axis=1) < np.min(angles, axis=1))
+            worst = np.argmax(np.where(steep, -np.inf, angles), axis=1)
+            islands.put((going[of], worst[of]), flat.take((of, best[of])))
+            lengths[going[of], worst[of]] = length.reshape(len(going), -1)[of, best[of]]
+        yield np.min(islands.angle, axis=1), crossed
+
+
+def _crossed(scene: _Scene, parents: _Points, children: _Points) -> Bool[np.ndarray, " lanes"]:
+    """Return whether a small angle has another sign at a child than at its parent nearby.
+
+    It is that of the volume that directions that grow span with those that shrink, each kind turned as at the parent.
+    """
+
+    def volume(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return np.linalg.det(np.nan_to_num(np.swapaxes(first, -1, -2) @ second))  # zero where a parent has none yet
+
+    mine, theirs = parents.directions[:, :, None], children.directions
+    kinds = [volume(mine[..., i, :, :], theirs[..., i, :, :]) for i in range(2)]
+    signs = [volume(each[..., 0, :, :], each[..., 1, :, :]) for each in (mine, theirs)]
+    apart = np.max(np.abs(parents.target[:, :, None] - children.target), axis=-1)
+    small = np.maximum(parents.angle[:, :, None], children.angle) < scene.small[:, None, None]
+    aligned = np.minimum(np.abs(kinds[0]), np.abs(kinds[1])) > _ALIGNED
+    other = signs[0] * signs[1] * kinds[0] * kinds[1] < 0.0
+    return np.any(small & aligned & other & (apart < _NEARBY), axis=(1, 2))
+
+
+def _children(
+    scene: _Scene, u: Float[np.ndarray, "lanes islands children d"], frames: Float[np.ndarray, "lanes islands d k"]
+) -> tuple[_Points, _Points]:
+    """Return of motions from points those of least angle, and of most stretch, from n to 2 n returns after."""
+    shape, (d, k), n = u.shape[:3], frames.shape[2:], scene.n
+    rows, frames = (
+        np.repeat(np.arange(len(u)), ISLANDS * CHILDREN),
+        np.repeat(frames.reshape(-1, d, k), CHILDREN, axis=0),
+    )
+    points, at_once, parts = u.reshape(-1, d), max(1, _AT_ONCE // (_PATH * n * d * d)), []
+    for first in range(0, len(rows), at_once):
+        some = slice(first, first + at_once)
+        parts.append(_least_and_steepest(scene.take(rows[some]), points[some], frames[some]))
+    whole = [[np.concatenate(leaves) for leaves in zip(*each, strict=True)] for each in zip(*parts, strict=True)]
+    least, steepest = (_Points(*(leaf.reshape(*shape, *leaf.shape[1:]) for leaf in each)) for each in whole)
+    return least, steepest
+
+
+def _least_and_steepest(
+    scene: _Scene, u: Float[np.ndarray, "lanes d"], frames: Float[np.ndarray, "lanes d k"]
+) -> tuple[_Points, _Points]:
+    (batch, lanes, size, *_), n = scene, scene.n
+    path, matrices, sound = _motions_from(scene, u, _PATH * n)
+    section = batch.flow is not batch.system
+    shear = shear_along_flow(batch, lanes, path, size, ORBIT_TILE) if section else None
+    angles, stretch, along, directions = _along(scene, matrices, frames, shear)
+    known = sound[:, None] & (stretch <= _MOST_STRETCH)
+    angles, stretch = np.where(known, angles, np.inf), np.where(known, stretch, -np.inf)
+    every, found = np.arange(len(path)), []
+    for i in (np.argmin(angles, axis=1), np.argmax(stretch, axis=1)):
+        target = path[every, i + n] / size
+        at = (along[i, every], angles[every, i], stretch[every, i], target, directions[i, every])
+        found.append(_Points(path[every, i], *at))
+    return found[0], found[1]
+
+
+def _motions_from(
+    scene: _Scene, u: Float[np.ndarray, "lanes d"], count: int
+) -> tuple[Float[np.ndarray, "lanes count d"], Float[np.ndarray, "lanes count d d"], Bool[np.ndarray, " lanes"]]:
+    """Return points, from the given ones on, derivatives of the map there in sizes, and which motions are finite."""
+    batch, lanes, size, *_ = scene
+    strobe, p, d = batch.strobe(), dict(batch.p), u.shape[1]
+    states = lanes.record(strobe, count, (states_at(batch, lanes, u, ORBIT_TILE), p), tile=ORBIT_TILE)
+    path = np.concatenate([u[:, None], points_at(batch, lanes, states, ORBIT_TILE)[:, :-1]], axis=1)
+    each = {name: np.repeat(values, count) for name, values in p.items()}
+    moved = lanes(derivative_and_volume, (strobe,), (path.reshape(-1, d), each), periods=_DERIVATIVE, tile=ORBIT_TILE)
+    matrices = np.array(jax.tree.leaves(moved)[0]).reshape(len(u), count, d, d)
+    matrices = matrices * (size[:, None, None, :] / size[:, None, :, None])
+    sound = np.isfinite(matrices).all(axis=(1, 2, 3)) & np.all(np.max(np.abs(matrices), axis=(2, 3)) > 0.0, axis=1)
+    return path, np.where(sound[:, None, None, None], matrices, np.eye(d)), sound
+
+
+def _along(
+    scene: _Scene,
+    matrices: Float[np.ndarray, "lanes steps d d"],
+    frames: Float[np.ndarray, "lanes d k"],
+    shear: Float[np.ndarray, "lanes steps d d"] | None,
+) -> tuple[
+    Float[np.ndarray, "lanes some"],
+    Float[np.ndarray, "lanes some"],
+    Float[np.ndarray, "some lanes d k"],
+    Float[np.ndarray, "some lanes 2 d j"],
+]:
+    """Return angles between what grows and what shrinks, n steps and more after frames, so long as n are left.
+
+    With them the stretch of the step before, the frames n steps before, and directions (`_Points`). What is across the
+    directions that shrink is what transposed maps take it to, from the last step back.
+
+    Args:
+        shear: into coordinates that angles are measured in; None: they are those of the matrices.
+    """
+    j, n, k, steps = scene.j, scene.n, frames.shape[2], matrices.shape[1]
+    along, triangles = [frames], []
+    for i in range(steps):
+        frames, triangle = orthonormalise(matrices[:, i] @ along[-1])
+        along.append(frames)
+        triangles.append(triangle)
+    across = np.broadcast_to(np.linalg.qr(np.random.default_rng(1).normal(size=(k, j)))[0], (len(frames), k, j))
+    seen = {i: _seen(along[i], None if shear is None else shear[:, i]) for i in range(n - 1, steps - n + 1)}
+    sines, stretch, directions = [], [], []
+    for i in reversed(range(n, steps)):
+        across = np.linalg.qr(np.swapaxes(triangles[i], 1, 2) @ across)[0]
+        if i <= steps - n:
+            sines.append(_sine(across, j, seen[i]))
+            directions.append(np.stack([along[i][:, :, :j], along[i] @ across], axis=1))
+            stretch.append(_volume(triangles[i - 1], j) + _volume(seen[i], j) - _volume(seen[i - 1], j))
+    angles = np.arcsin(np.minimum(np.stack(sines[::-1], axis=1), 1.0))
+    return angles, np.stack(stretch[::-1], axis=1), np.stack(along[: angles.shape[1]]), np.stack(directions[::-1])
+
+
+def _seen(
+    frame: Float[np.ndarray, "lanes d k"], shear: Float[np.ndarray, "lanes d d"] | None
+) -> Float[np.ndarray, "lanes k k"]:
+    """Return the columns of a frame in the coordinates that angles are measured in, upper triangular."""
+    if shear is None:
+        return np.broadcast_to(np.eye(frame.shape[2]), (len(frame), frame.shape[2], frame.shape[2]))
+    return np.linalg.qr(shear @ frame)[1]
+
+
+def _volume(triangles: Float[np.ndarray, "lanes k k"], j: int) -> Float[np.ndarray, " lanes"]:
+    """Return the logarithm of what triangles make of the volume of the first j directions."""
+    return np.sum(np.log(np.abs(np.diagonal(triangles, axis1=1, axis2=2)[:, :j])), axis=1)
+
+
+def _sine(
+    across: Float[np.ndarray, "lanes k j"], j: int, seen: Float[np.ndarray, "lanes k k"]
+) -> Float[np.ndarray, " lanes"]:
+    """Return the sine of the smallest angle between the first j columns of a frame and what shrinks.
+
+    Args:
+        across: orthonormal, what is across the directions that shrink, in the frame.
+        seen: the columns of the frame in the coordinates that angles are measured in.
+    """
+    shrinking = np.linalg.qr(seen @ np.linalg.qr(across, mode="complete")[0][:, :, j:])[0]
+    growing = np.linalg.qr(seen[:, :, :j])[0]
+    left = growing - shrinking @ (np.swapaxes(shrinking, 1, 2) @ growing)
+    return np.linalg.svd(left, compute_uv=False)[:, -1]
