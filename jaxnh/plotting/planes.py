@@ -16,6 +16,7 @@ from jaxnh.plotting.labels import axis_label, title_of
 from jaxnh.plotting.style import LINE, POINT, Colour
 
 _DISTINCT = 256  # up to so many different points get large markers
+_RESTS, _MARGIN = 1e-9, 0.05  # of the size of what is shown: a range of rounding, and what is shown on either side then
 _LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 
@@ -88,6 +89,7 @@ def draw_lanes(
     x, y = plane_coordinates(data)
     ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
     colours.explain(ax)
+    widen(ax)
     return ax
 
 
@@ -114,7 +116,18 @@ def finish_plane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:
     """Label the axes of a panel of one lane, and name its values above."""
     x, y = plane_coordinates(data)
     ax.set(xlabel=axis_label(x), ylabel=axis_label(y))
+    widen(ax)
     return name_lane(data, lane, ax)
+
+
+def widen(ax: Axes) -> None:
+    """Show no rounding: a coordinate that rests, as that of a section, has a range by the size of what is shown."""
+    corners = np.nan_to_num(ax.dataLim.get_points(), posinf=0.0, neginf=0.0)
+    size = float(np.max(np.abs(corners)))
+    for (low, high), set_limits in ((ax.dataLim.intervalx, ax.set_xlim), (ax.dataLim.intervaly, ax.set_ylim)):
+        if high - low <= _RESTS * size and size > 0.0:
+            middle = 0.5 * (low + high)
+            set_limits(middle - _MARGIN * size, middle + _MARGIN * size)
 
 
 def name_lane(data: xr.Dataset, lane: int, ax: Axes) -> Axes:

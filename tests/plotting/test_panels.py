@@ -410,6 +410,17 @@ def test_lanes_of_two_axes():
     assert np.array_equal(ax.lines[0].get_xydata(), np.column_stack([chosen["theta"], chosen["theta_dot"]]))
 
 
+def test_a_coordinate_that_rests_but_for_rounding():
+    """As that of a section is: its axis has a range by the size of the other one."""
+    data = pendulum("points", ("mass", 3), ("strobe", 5)).assign_coords(mass=[1.0, 2.0, 3.0])
+    data = data.assign_attrs(axes="drive mass")
+    data["theta"] = data["theta"].copy(data=np.full(data["theta"].shape, 3e-17))
+    ax = points(data, lane=4)
+    low, high = ax.get_xlim()
+    assert high - low == pytest.approx(0.1 * np.abs(ax.dataLim.intervaly).max())
+    assert low == pytest.approx(-high)
+
+
 def test_a_panel_over_one_axis_at_a_point_of_another():
     data = pendulum("density", ("mass", 3), ("strobe", 5)).assign_coords(mass=[1.0, 2.0, 3.0])
     data = data.assign_attrs(axes="drive mass")
