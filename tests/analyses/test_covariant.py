@@ -5,12 +5,14 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 
 import jaxnh
 from jaxnh.analyses.covariant.hyperbolicity import BOUNDED, SPLITS, TANGENT, judge_splits
 from jaxnh.analyses.covariant.vectors import covariant_vectors, smallest_angles, volume_growth
 from tests.flows import lorenz
 from tests.flows.known_maps import henon
+from tests.helpers.paths import ROOT
 
 pytestmark = pytest.mark.usefixtures("one_core")
 GOLDEN = np.log((3.0 + np.sqrt(5.0)) / 2.0)
@@ -256,6 +258,17 @@ def test_lorenzs_tangencies_begin_at_31():
     assert words(few, "kind") == [["hyperbolic"] * 2] * 2
     data = session.run(jaxnh.Covariant(strobes=1024, search=96), rho=rho, x=starts)
     assert words(data, "kind") == [["hyperbolic"] * 2, ["tangent"] * 2]
+
+
+@pytest.mark.slow  # the matrix has the particle
+def test_the_papers_particle():
+    """What the page says of it, of half as many points: its chaos at b = 5.3, and disturbed at 5.6, has tangencies."""
+    experiment = jaxnh.load(ROOT / "configs" / "covariant.yaml", ["analyses.covariant.strobes=4096"])
+    data = jaxnh.run(experiment)["covariant"].to_dataset()
+    assert words(data, "kind") == [["tangent", "regular"], ["tangent", "tangent"]]
+    chaotic = data.isel(d=xr.DataArray([0, 1]), b=xr.DataArray([0, 1])).transpose(..., "split", "exponent", "angle")
+    assert np.all(chaotic["angle_min"][:, 0] < 2e-3)
+    assert chaotic["angle_median"].to_numpy()[:, 0] == pytest.approx([0.13, 0.41], rel=0.1)
 
 
 def test_where_lorenzs_tangencies_begin():
