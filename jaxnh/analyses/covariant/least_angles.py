@@ -117,7 +117,7 @@ class _Points(NamedTuple):
         frames: tangent there, of which the first columns span what grows, (..., d, k).
         angle: n returns later, (...).
         stretch: logarithm of what the last return before has made of volumes that grow, (...).
-        target: the point there, in sizes of the motion, (..., d).
+        target: the point there, (..., d).
         directions: orthonormal ones that grow there, and orthonormal ones across those that shrink, (..., 2, d, j).
     """
 
@@ -213,7 +213,7 @@ def _begin(motions: SearchedMotions, j: int, n: int) -> _Points:
         points[lane, target - n],
         frames[lane, target - n],
         angles[lane, target],
-        np.full(target.shape, -np.inf),
+        np.full(target.shape, -1e9),
         none,
         np.tile(none[..., None, :, None], (2, 1, j)),
     )
@@ -244,25 +244,34 @@ def _rounds(
             moved = parents.u[:, :, None] + some.size[:, None, None] * along
             by_angle, by_stretch = _children(some, moved, parents.frames)
             crossed[going] = _crossed(some, parents, by_angle)
-            flat = _Points(*(leaf.reshape(len(going), -1, *leaf.shape[3:]) for leaf in by_angle))
             for island in range(ISLANDS):
-                children = by_stretch if steep[island] else by_angle
-                score, old = (
-                    (-children.stretch[:, island], -parents.stretch[:, island])
-                    if steep[island]
-                    else (children.angle[:, island], parents.angle[:, island])
-                )
-                best = np.argmin(score, axis=1)
-                (of,) = np.nonzero(np.min(score, axis=1) < old)
-                islands.put((going[of], island), children.take((of, island, best[of])))
-                lengths[going[of], island] = length[of, island, best[of]]
-            angles = np.where(steep, np.inf, islands.angle[going])
-            best = np.argmin(flat.angle, axis=1)
-            (of,) = np.nonzero(np.min(flat.angle, axis=1) < np.min(angles, axis=1))
-            worst = np.argmax(np.where(steep, -np.inf, angles), axis=1)
-            islands.put((going[of], worst[of]), flat.take((of, best[of])))
-            lengths[going[of], worst[of]] = length.reshape(len(going), -1)[of, best[of]]
+                children = (by_stretch if steep[island] else by_angle).take((slice(None), island))
+                gain = children.stretch - islands.stretch[going, island, None]
+                if not steep[island]:
+                    gain = islands.angle[going, island, None] - children.angle
+                _keep_best(islands, lengths, going, np.full(len(going), island), children, length[:, island], gain)
+            among = islands.angle[going, : ISLANDS // 2]
+            flat = _Points(*(leaf.reshape(len(going), -1, *leaf.shape[3:]) for leaf in by_angle))
+            gain = np.min(among, axis=1, keepdims=True) - flat.angle
+            every_length = length.reshape(len(going), -1)
+            _keep_best(islands, lengths, going, np.argmax(among, axis=1), flat, every_length, gain)
         yield np.min(islands.angle, axis=1), crossed
+
+
+def _keep_best(
+    islands: _Points,
+    lengths: Float[np.ndarray, "lanes islands"],
+    going: Int[np.ndarray, " some"],
+    island: Int[np.ndarray, " some"],
+    children: _Points,
+    length: Float[np.ndarray, "some children"],
+    gain: Float[np.ndarray, "some children"],
+) -> None:
+    """Put the child of most gain, and the length of its move, in the place of an island of each lane, if it gains."""
+    best, some = np.argmax(gain, axis=1), np.arange(len(going))
+    (of,) = np.nonzero(gain[some, best] > 0.0)
+    islands.put((going[of], island[of]), children.take((of, best[of])))
+    lengths[going[of], island[of]] = length[of, best[of]]
 
 
 def _crossed(scene: _Scene, parents: _Points, children: _Points) -> Bool[np.ndarray, " lanes"]:
@@ -277,11 +286,11 @@ def _crossed(scene: _Scene, parents: _Points, children: _Points) -> Bool[np.ndar
     mine, theirs = parents.directions[:, :, None], children.directions
     kinds = [volume(mine[..., i, :, :], theirs[..., i, :, :]) for i in range(2)]
     signs = [volume(each[..., 0, :, :], each[..., 1, :, :]) for each in (mine, theirs)]
-    apart = np.max(np.abs(parents.target[:, :, None] - children.target), axis=-1)
+    apart = scene.batch.chart.wrap(parents.target[:, :, None] - children.target) / scene.size[:, None, None]
     small = np.maximum(parents.angle[:, :, None], children.angle) < scene.small[:, None, None]
     aligned = np.minimum(np.abs(kinds[0]), np.abs(kinds[1])) > _ALIGNED
     other = signs[0] * signs[1] * kinds[0] * kinds[1] < 0.0
-    return np.any(small & aligned & other & (apart < _NEARBY), axis=(1, 2))
+    return np.any(small & aligned & other & (np.max(np.abs(apart), axis=-1) < _NEARBY), axis=(1, 2))
 
 
 def _children(
@@ -289,10 +298,8 @@ def _children(
 ) -> tuple[_Points, _Points]:
     """Return of motions from points those of least angle, and of most stretch, from n to 2 n returns after."""
     shape, (d, k), n = u.shape[:3], frames.shape[2:], scene.n
-    rows, frames = (
-        np.repeat(np.arange(len(u)), ISLANDS * CHILDREN),
-        np.repeat(frames.reshape(-1, d, k), CHILDREN, axis=0),
-    )
+    rows = np.repeat(np.arange(len(u)), ISLANDS * CHILDREN)
+    frames = np.repeat(frames.reshape(-1, d, k), CHILDREN, axis=0)
     points, at_once, parts = u.reshape(-1, d), max(1, _AT_ONCE // (_PATH * n * d * d)), []
     for first in range(0, len(rows), at_once):
         some = slice(first, first + at_once)
@@ -314,8 +321,7 @@ def _least_and_steepest(
     angles, stretch = np.where(known, angles, np.inf), np.where(known, stretch, -np.inf)
     every, found = np.arange(len(path)), []
     for i in (np.argmin(angles, axis=1), np.argmax(stretch, axis=1)):
-        target = path[every, i + n] / size
-        at = (along[i, every], angles[every, i], stretch[every, i], target, directions[i, every])
+        at = (along[i, every], angles[every, i], stretch[every, i], path[every, i + n], directions[i, every])
         found.append(_Points(path[every, i], *at))
     return found[0], found[1]
 
