@@ -249,12 +249,9 @@ class Experiment(Config):
         """Names of all that start states have, and no parameters."""
         return tuple(self.initial.coordinates())
 
-    @property
+    @functools.cached_property
     def axes(self) -> tuple[Axis, ...]:
-        """The axes of the sweep, in the order of the config; their product, in C order, is what is run.
-
-        Made anew at every call.
-        """
+        """The axes of the sweep, in the order of the config; their product, in C order, is what is run."""
         flow, of_starts, axes = self.flow(), self._of_starts, []
         for name, grid in self.sweep.grids.items():
             values = grid.grid()

@@ -170,3 +170,12 @@ def test_states_over_their_starts():
     assert found["x1"].values.tolist() == [[7], [7]]
     assert found["start_x1"].values.tolist() == [1.0, 2.0]
     assert found["start_x1"].attrs["long_name"] == "start value of position x1"
+
+
+def test_axes_of_an_experiment_are_made_once():
+    """Each look at them would try out whether a parameter decides the clock."""
+    made = Experiment.from_text(
+        "system: {constraint: constant_speed}\nsweep: {b: {values: [1.0, 2.0]}}\nanalyses: {period: {}}\n"
+    )
+    assert made.axes is made.axes
+    assert made.axes[0].values.tolist() == [1.0, 2.0]
