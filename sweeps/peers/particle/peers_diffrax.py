@@ -70,7 +70,14 @@ class StockContestant:
         """What is compared of states (lanes, variables): as the scene's `ends`."""
         raise NotImplementedError
 
-    def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
+    def tune(
+        self,
+        target: float,
+        hints: Sequence[Setting] = (),
+        only: bool = False,
+        wanted: Callable[[tuple[str, str, str]], bool] = lambda key: True,
+    ) -> list[Setting]:
+        """As for every contestant; of `wanted` names of a solver, a controller and a form alone."""
         settings = []
         efforts = {hint.key: hint.knob for hint in hints}
         for solver, controller in itertools.product(_SOLVERS, _CONTROLLERS):
@@ -78,7 +85,7 @@ class StockContestant:
             guess = 30 / target if adaptive else (1e-8 / target) ** (0.125 if solver == "Dopri8" else 0.2) * 400
             for form in self.forms:
                 key = (solver, controller, form)
-                if only and key not in {hint.key for hint in hints}:
+                if not wanted(key) or (only and key not in {hint.key for hint in hints}):
                     continue
                 found = least_effort(
                     lambda effort, key=key: self._measured(key, effort),
