@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.helpers import parts
-from tests.helpers.parts import modules_of_part, part
+from tests.helpers.parts import longest_first, modules_of_part, part
 
 SECONDS = st.dictionaries(st.text("abc", min_size=1), st.floats(0.1, 100.0), min_size=1, max_size=30)
 
@@ -29,6 +30,13 @@ def test_modules_that_nobody_has_timed():
     seconds = {"a": 10.0, "b": 10.0}
     both = [modules_of_part(["a", "b", "new", "newer"], seconds, k, 2) for k in (1, 2)]
     assert [len(one) for one in both] == [2, 2]
+
+
+def test_long_modules_come_first():
+    """Modules stay whole, and the tests of each in their order; a new one may be long."""
+    seconds = {"short": 1.0, "long": 9.0}
+    items = [SimpleNamespace(nodeid=name) for name in ("short::a", "long::b", "long::a", "new::a")]
+    assert [item.nodeid for item in longest_first(items, seconds)] == ["new::a", "long::b", "long::a", "short::a"]
 
 
 def test_kept_seconds_are_of_the_processor(pytester, monkeypatch):
