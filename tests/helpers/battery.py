@@ -24,6 +24,7 @@ CASES = (
     "Strong contraction",
     "On the edge of a doubling",
     "Deep in the cascade",
+    "A thousand branches",
     "Long chaos",
     "Error bars of exponents",
     "Verdicts of longer runs",

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import jax
 import numpy as np
 import pytest
 
 from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
-from jaxnh.analyses.continuation.known_branches import KnownBranches
 from jaxnh.analyses.continuation.seeds import random_wave
-from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.continuation.arclength import along_parameter, correct
 from jaxnh.orbits.continuation.branches import follow_both_ways
 from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.paths import StepControl
-from jaxnh.solvers import SPLITTINGS, dopri8
+from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import first_order
-from jaxnh.systems.particle import constant_speed
 from tests.flows.logistic_map import LOGISTIC
 from tests.helpers.batches import batch_of
-
-START = ((0.1, 0.1), (0.1, float(np.sqrt(0.99))))
-ENDS = (4.0, 6.0)
+from tests.helpers.particle_branches import ENDS, none_is_lost, rough_scene
 
 
 @pytest.fixture(scope="module")
 def scene():
-    """Values of b over the range; of what many branches do to each other a rough map says as much as an exact one."""
-    return batch_of(constant_speed(), START, np.linspace(*ENDS, 9), SPLITTINGS["blanes_moan6"], 60)
+    return rough_scene()
 
 
 def searched(scene, lanes, values, starts, limit):
@@ -118,40 +110,10 @@ def test_few_lanes_on_a_section(lanes):
     assert all(np.array_equal(a[:3], b) for a, b in zip(many, few, strict=True))
 
 
-def none_is_lost(orbits, family, tree):
-    """See that orbits that a search began with are on branches of their period."""
-    for n in {len(orbit.points) for orbit in orbits}:
-        known = KnownBranches(family, tree.branches, n)
-        assert all(known.has(orbit.points, orbit.value) for orbit in orbits if len(orbit.points) == n)
-
-
 def test_an_orbit_that_only_a_dropped_branch_has_passed():
     """Of three orbits on one branch two are followed side by side, and the second is dropped, but has passed the third."""
     family = LOGISTIC._replace(at_once=2)
     orbits = [SeedOrbit(np.array([[1.0 - 1.0 / r]]), r) for r in (2.4, 2.42, 2.44)]
     tree = grow([family] * 3, [orbits], 1, StepControl(0.05, 3))
     assert [2.4 < branch.value.max() < 2.44 for branch in tree.branches] == [True, False]
-    none_is_lost(orbits, family, tree)
-
-
-def grown(scene, lanes, values, starts, limit, steps):
-    """The orbits of a search at some values of b, their family, and the tree of branches that they lead to."""
-    values = np.array(values)
-    here = replace(scene.take(np.arange(len(values))), p={"b": values}, axis=replace(scene.first_axis, values=values))
-    orbits = random_wave(here, lanes, starts, 1, {"x1": (-4, 4), "y1": (-4, 4)}, limit, np.ones(3), 64)
-    families = [orbit_family(scene, lanes, strobe, np.ones(3), ENDS) for strobe in refined_maps(scene)]
-    return orbits, families[0], grow(families, [orbits], limit, steps)
-
-
-@pytest.mark.slow
-def test_a_thousand_branches_in_one_run(scene, lanes):
-    """Of periods up to 8, begun in chaos, with all their bifurcations, errors, and the branches that are born there.
-
-    In fifteen steps either way few reach an end of the range.
-    """
-    orbits, family, tree = grown(scene, lanes, [4.62, 4.7, 4.78, 4.85, 4.92], 80, 8, StepControl(0.05, 15))
-    assert len(tree.branches) > 1000
-    assert len(tree.bifurcations) > 1000
-    assert np.median([point.error for point in tree.bifurcations]) < 1e-6  # of the rough map of this scene
-    assert not tree.lost
     none_is_lost(orbits, family, tree)
