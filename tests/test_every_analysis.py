@@ -1040,6 +1040,9 @@ BROTHERS = {
 }
 """Kinds that join what others have, whose cells of `DEAR` analyses take seconds each and are slow."""
 
+SAME_MOTION = {("T, Q, f with a constraint that is projected", "reversal"): "the particle, disturbed"}
+"""Other cells that are slow, each with the kind of the very same motion, held against the same numbers, that is quick."""
+
 
 # ---- cells
 
@@ -1130,12 +1133,21 @@ def test_what_is_slow_has_quick_brothers(kind, brothers):
             assert not (refused[1] and not refused[0])
 
 
+@pytest.mark.parametrize(("cell", "brother"), SAME_MOTION.items())
+def test_the_same_motion_is_quick(cell, brother):
+    kind, analysis = cell
+    assert brother not in BROTHERS
+    assert analysis not in DEAR
+    assert not any(isinstance(KINDS[name].known[analysis], str) for name in (kind, brother))
+
+
 def cells():
     """Kinds and analyses; slow are the dear analyses, but for those that are refused, of kinds that join others."""
     for kind, scene in KINDS.items():
         for analysis in ANALYSES:
             joined = kind in BROTHERS and analysis in DEAR and not isinstance(scene.known.get(analysis), str)
-            yield pytest.param(kind, analysis, marks=[pytest.mark.slow] * joined, id=f"{kind}-{analysis}")
+            slow = joined or (kind, analysis) in SAME_MOTION
+            yield pytest.param(kind, analysis, marks=[pytest.mark.slow] * slow, id=f"{kind}-{analysis}")
 
 
 @pytest.mark.parametrize(("kind", "analysis"), list(cells()))

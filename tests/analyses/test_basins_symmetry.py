@@ -98,10 +98,10 @@ def test_circles_left_and_right(tmp_path):
 @pytest.mark.parametrize(
     ("coordinates", "rates", "rest", "reason"),
     [
-        pytest.param(  # the two others are quick
+        pytest.param(  # the last one is quick
             ("theta", "rate"), "rate, -jnp.sin(theta)", '"angles": ("theta",)', 2, marks=pytest.mark.slow
         ),
-        (("x", "v"), "v, 0.2 * jnp.cos(t) - x**3", '"period": 2 * jnp.pi', 2),
+        pytest.param(("x", "v"), "v, 0.2 * jnp.cos(t) - x**3", '"period": 2 * jnp.pi', 2, marks=pytest.mark.slow),
         (("prey", "hunter"), "prey * (1.0 - jnp.exp(hunter)), hunter * 0.0 + prey - 1.0", "", 1),
     ],
 )

@@ -124,6 +124,7 @@ def oblique_wells(a=1.0):
     return {"rhs": rhs, "coordinates": ("x", "v"), "period": 1.0}
 
 
+@pytest.mark.slow  # `test_two_wells_of_a_map` and `test_the_bars_of_one_flow` are quick
 def test_two_wells_of_a_flow():
     """The least shock is √a across the boundary, in halves of the box."""
     a = np.array([0.8, 1.0])
@@ -266,7 +267,7 @@ def saddle_cycle(force):
     return u.astype(float), (np.exp(-0.4 * np.pi) / larger, larger)  # areas shrink by exp(−0.2 · 2π)
 
 
-@pytest.mark.slow  # `test_two_wells_of_a_flow` and `test_the_bars_of_one_flow` are quick
+@pytest.mark.slow  # `test_the_bars_of_one_flow` is quick
 def test_the_cycle_between_duffings_wells():
     force = 0.05
     options = jaxnh.Edges(box=BOX, n_starts=8, pairs=1, directions=0)

@@ -140,7 +140,7 @@ def test_fronts_in_closed_form():
         assert error.max() < 1e-8
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("name", "drive", "exact"), [("orbit_flip", 1.0, 1.0), ("inclination_flip", 0.0, 2.0)])
 def test_flips_in_closed_form(name, drive, exact, sign):
     """The one flip along the line a = 0, within its error; where a share is zero all along there is none."""
