@@ -11,6 +11,8 @@ from jaxnh.engine.experiment import Experiment
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
+SIDE = 16  # starts of one tile: a hundredth of them are two
+
 
 def line(start, stop, count):
     return {"start": start, "stop": stop, "count": count}
@@ -21,7 +23,7 @@ def particle():
     content = {
         "system": {"constraint": "constant_speed", "a": 0.5, "b": 5.475, "c": 1.0, "omega": 1.0},
         "initial": {"x2": 0.1},
-        "sweep": {"x1": line(-3.0, 3.0, 24), "y1": line(-3.0, 3.0, 24)},
+        "sweep": {"x1": line(-3.0, 3.0, SIDE), "y1": line(-3.0, 3.0, SIDE)},
         "accuracy": {"target": 1e-6},
         "analyses": {"basins": {}},
     }
@@ -31,7 +33,7 @@ def particle():
 def pendulum():
     """Rest and rotation, without a clock."""
     path = ROOT / "configs" / "flows" / "torque_pendulum.yaml"
-    return jaxnh.load(path, ["sweep.theta.count=24", "sweep.rate.count=24", "accuracy.target=1e-6"])
+    return jaxnh.load(path, [f"sweep.theta.count={SIDE}", f"sweep.rate.count={SIDE}", "accuracy.target=1e-6"])
 
 
 SCENES = {"particle": particle, "pendulum": pendulum}

@@ -136,10 +136,13 @@ CASCADES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASCADES)
 def test_doublings_in_any_units(name):
-    """The first two, scaled, within the errors of both."""
+    """The first two, scaled, within the errors of both.
+
+    Of the particle, whose programs are large, in units of length, time and parameter each once: all five are the others'.
+    """
     define, start, values, steps = CASCADES[name]
     found = []
-    for units in UNITS:
+    for units in UNITS[::2] if name == "particle" else UNITS:
         here = scene(define, start, values, units, steps)
         data = doubling.run(doubling.DoublingOptions(levels=2, search=False), here, LANES)
         axis = data.attrs["along"]

@@ -254,8 +254,13 @@ def test_what_windows_cannot_do_is_said(tmp_path, sweep, message):
 
 @pytest.mark.slow
 def test_windows_of_a_flow(tmp_path):
-    """The flow whose strobe map is the quadratic map: period 3, the doublings by Newton on it, where these end, and the crisis."""
-    tree = session_of(flow(tmp_path, "a: {start: 1.74, stop: 1.80, count: 61}", "{max_period: 3}")).tree()
+    """The flow whose strobe map is the quadratic map: period 3, the doublings by Newton on it, where these end, and the crisis.
+
+    Paths of 1,024 strobes for the crisis: their error is that of the map's own (above), and longer ones are all that costs.
+    """
+    most = 1024
+    options = f"{{max_period: 3, crisis: {most}}}"
+    tree = session_of(flow(tmp_path, "a: {start: 1.74, stop: 1.80, count: 61}", options)).tree()
     data = tree["windows"].to_dataset()
     assert (data["period"].values.tolist(), data["orbits"].values.tolist()) == ([3], [1])
     off = 5 * np.exp(-30)  # the map with ε doubles 4.2 ε before that without, by Newton at ε = 1e-5 and 1e-6
@@ -266,7 +271,7 @@ def test_windows_of_a_flow(tmp_path):
     assert float(data["begin_error"][0]) < 1e-8
     assert np.abs(data["doubling"].values[0, 0] - DOUBLING) <= data["doubling_error"].values[0, 0] + off
     assert float(data["limit_error"][0]) < 1e-4
-    assert float(data["crisis_error"][0]) < 1e-5
+    assert float(data["crisis_error"][0]) < 100.0 * (CRISES["3, of a fold"][2] - LIMIT) * (3 / most) ** 2
     assert data["end_multipliers"].values[0, 0] == pytest.approx([-1.0, 0.0], abs=1e-8)
     jaxnh.figure(tree)
 

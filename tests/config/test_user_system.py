@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
 
 import diffrax
 import heyoka as hy
@@ -35,6 +32,7 @@ from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.user_file import UserFile
 from tests.flows.particle import SYSTEMS
 from tests.helpers import taylor
+from tests.helpers.commands import run_here, run_process
 from tests.helpers.diffrax_solvers import ProjectedSolver
 from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs, session_of
 from tests.helpers.paths import ROOT
@@ -562,10 +560,11 @@ analyses:
 
 
 def run(module, folder, *arguments):
-    """Exit code and lines of a command of ours in a folder."""
-    command = [sys.executable, "-m", f"jaxnh.{module}", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    """Exit code and lines of a command of ours in a folder; workers of Dask need a process to be started from."""
+    if "--dask" in arguments:
+        done = run_process(*arguments, cwd=folder)
+    else:
+        done = run_here(*arguments, cwd=folder, command=module)
     return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
 
 
