@@ -316,7 +316,7 @@ def _least_and_steepest(
     path, matrices, sound = _motions_from(scene, u, _PATH * n)
     section = batch.flow is not batch.system
     shear = shear_along_flow(batch, lanes, path, size, ORBIT_TILE) if section else None
-    angles, stretch, along, directions = _along(scene, matrices, frames, shear)
+    angles, stretch, along, directions = _angles_on_paths(scene, matrices, frames, shear)
     known = sound[:, None] & (stretch <= _MOST_STRETCH)
     angles, stretch = np.where(known, angles, np.inf), np.where(known, stretch, -np.inf)
     every, found = np.arange(len(path)), []
@@ -342,7 +342,7 @@ def _motions_from(
     return path, np.where(sound[:, None, None, None], matrices, np.eye(d)), sound
 
 
-def _along(
+def _angles_on_paths(
     scene: _Scene,
     matrices: Float[np.ndarray, "lanes steps d d"],
     frames: Float[np.ndarray, "lanes d k"],
@@ -368,7 +368,7 @@ def _along(
         along.append(frames)
         triangles.append(triangle)
     across = np.broadcast_to(np.linalg.qr(np.random.default_rng(1).normal(size=(k, j)))[0], (len(frames), k, j))
-    seen = {i: _seen(along[i], None if shear is None else shear[:, i]) for i in range(n - 1, steps - n + 1)}
+    seen = {i: _sheared_frame(along[i], None if shear is None else shear[:, i]) for i in range(n - 1, steps - n + 1)}
     sines, stretch, directions = [], [], []
     for i in reversed(range(n, steps)):
         across = np.linalg.qr(np.swapaxes(triangles[i], 1, 2) @ across)[0]
@@ -380,7 +380,7 @@ def _along(
     return angles, np.stack(stretch[::-1], axis=1), np.stack(along[: angles.shape[1]]), np.stack(directions[::-1])
 
 
-def _seen(
+def _sheared_frame(
     frame: Float[np.ndarray, "lanes d k"], shear: Float[np.ndarray, "lanes d d"] | None
 ) -> Float[np.ndarray, "lanes k k"]:
     """Return the columns of a frame in the coordinates that angles are measured in, upper triangular."""
