@@ -211,8 +211,7 @@ def _job(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Re
     lanes = experiment.sweep.lanes
     tile = cost_model.lanes_a_tile(lanes)
     lane_steps = work_of(requested, lanes) * plan.steps * -(-lanes // tile) * tile
-    first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
-    return plan.solver, first.system.flow, lane_steps
+    return plan.solver, experiment.flow(), lane_steps
 
 
 def choose(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -26,6 +26,7 @@ _LARGEST_RESIDUAL = 1e-6  # of f at the start, in units of |A q̇| + 1: what the
 _ON_LEVEL = 1e-12  # of an integral, in units of its level + 1: a few roundings
 _IMPROVEMENTS = 64  # steps of Newton: each halves a factor that is far too large
 _MOST_CHECKED = 100_000  # lanes at which f is looked at
+_TILE = 64  # lanes of a program's call
 
 
 def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: Sequence[str] = ()) -> None:
@@ -99,26 +100,44 @@ def _describe_residual(
 
 def _off_constraint(flow: Lagrangian, start: Motion, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
     """Residuals of f at start states, (constraints, lanes), and which lanes are off f = 0, (lanes,)."""
-    with jax.enable_x64(True):
-        residuals = np.asarray(_residuals(flow, start, dict(p)))
+    residuals = _in_tiles(_residuals, flow, start, p).T
     limit = _LARGEST_RESIDUAL * (1.0 + np.abs(np.stack([np.asarray(v) for v in start.v])).max(axis=0))
     return residuals, ~np.all(np.abs(residuals) <= limit, axis=0)
 
 
 @functools.partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
 def _residuals(flow: Lagrangian, start: Motion, p: Parameters) -> Array:
-    return jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)), out_axes=1)(start, p)
+    return jax.vmap(lambda y, p: jnp.stack(flow.residuals(0.0, y, p)))(start, p)
 
 
 def _nearest_states(flow: Lagrangian, start: Motion, p: Parameters) -> Motion:
     """States (lanes,) on the constraints near start states, by one program: its operations one by one are a hundred."""
-    with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
-        return jax.tree.map(np.asarray, _nearest(flow, start, dict(p)))
+    return _in_tiles(_nearest, flow, start, p)
 
 
 @functools.partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
 def _nearest(flow: Lagrangian, start: Motion, p: Parameters) -> Motion:
     return jax.vmap(lambda y, p: flow.nearest(y, p))(start, p)
+
+
+def _in_tiles(function: Callable[..., Any], flow: Lagrangian, start: Motion, p: Parameters, *more: np.ndarray) -> Any:
+    """A function of lanes, some at a time: one program for any number of lanes, with all parameters that lanes have.
+
+    Starts of a sweep are looked at three times before it runs, of all lanes, of samples and of one; a program for each
+    took 7 of 47 s of configs/nonholonomic/rubber_disk.yaml from an empty cache.
+    """
+    count = len(start.q[0])
+    own = {
+        name: np.broadcast_to(np.asarray(p.get(name, flow.values[name]), float), count) for name in flow.lane_parameters
+    }
+    lanes = jax.tree.map(lambda leaf: np.asarray(leaf, float), (start, own, *more))
+    parts = []
+    with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
+        for first in range(0, count, _TILE):
+            last = min(first + _TILE, count)
+            part = _lanes_of(lanes, np.minimum(np.arange(first, first + _TILE), count - 1))
+            parts.append(jax.tree.map(lambda leaf, n=last - first: np.asarray(leaf)[:n], function(flow, *part)))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 def admit_starts(flow: Flow, start: State, p: Parameters, levels: Mapping[str, np.ndarray], *, project: bool) -> State:
@@ -156,17 +175,15 @@ def put_on_level(
 
     Newton on the factor, from one; of an integral that is quadratic in the velocities it comes down to the larger root.
     """
-
-    with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
-        values = np.asarray(level, float)
-        factor, left = (np.asarray(x) for x in _factors(flow, name, start, dict(p), values))
+    values = np.asarray(level, float)
+    factor, left = _in_tiles(functools.partial(_factors, name=name), flow, start, p, values)
     reached = (factor > 0.0) & (np.abs(left) <= _ON_LEVEL * (1.0 + np.abs(values)))
     factor = np.where(reached, factor, 1.0)
     return start._replace(v=tuple(factor * v for v in start.v)), reached
 
 
-@functools.partial(jax.jit, static_argnums=1)
-def _factors(flow: Lagrangian, name: str, start: Motion, p: Parameters, level: Array) -> tuple[Array, Array]:
+@functools.partial(jax.jit, static_argnames="name")
+def _factors(flow: Lagrangian, start: Motion, p: Parameters, level: Array, *, name: str) -> tuple[Array, Array]:
     """Factors of the velocities of lanes, and what is left of the integral less its level with them."""
 
     def factor_of(y: Motion, p: Parameters, level: Array) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ class Factors(NamedTuple):
 
 
 def eliminate(
-    matrix: list[list[Number]], rights: list[list[Number]], ordered: int = 0
+    matrix: list[list[Number]], rights: list[list[Number]], *, definite: bool = False
 ) -> tuple[list[list[Number]], Number]:
     """Solutions of a linear system for several right sides, by Gauss with partial pivoting, components of any shape.
 
@@ -41,17 +42,19 @@ def eliminate(
     Args:
         matrix: n rows of n components.
         rights: right sides of n components each.
-        ordered: number of leading columns whose pivots are good as they stand, as those of a mass matrix are.
+        definite: whether the matrix is symmetric and positive definite, or [M, Aᵀ; A, −D] with M positive definite and
+            D positive semidefinite: pivots are then good as they stand (Vanderbei, SIAM J. Optim. 5 (1995) 100), no
+            rows change places, and what is left at each column is symmetric as well, half of which is computed.
 
     Returns:
         The solutions, and the smallest pivot in units of the matrix's largest entry; zero where all entries are zero.
         At zero the solutions are not finite.
     """
-    factors = factorise(matrix, ordered)
+    factors = factorise(matrix, definite=definite)
     return [substitute(factors, right) for right in rights], factors.smallest
 
 
-def factorise(matrix: list[list[Number]], ordered: int = 0) -> Factors:
+def factorise(matrix: list[list[Number]], *, definite: bool = False) -> Factors:
     """Factors of a matrix for `substitute`, as in `eliminate`."""
     n = len(matrix)
     rows = [[*row] for row in matrix]
@@ -60,7 +63,7 @@ def factorise(matrix: list[list[Number]], ordered: int = 0) -> Factors:
     pivots, inverses, below = [], [], []
     for c in range(n):
         exchanges.append([None] * (n - c - 1))
-        for r in range(c + 1, n) if c >= ordered else ():
+        for r in () if definite else range(c + 1, n):
             if is_zero(rows[r][c]):
                 continue
             swap = jnp.abs(rows[r][c]) > jnp.abs(rows[c][c])
@@ -72,9 +75,10 @@ def factorise(matrix: list[list[Number]], ordered: int = 0) -> Factors:
         rows[c][c + 1 :] = [times(entry, inverse) for entry in rows[c][c + 1 :]]
         below.append([rows[r][c] for r in range(c + 1, n)])
         for r in range(c + 1, n):
-            factor = rows[r][c]
-            pairs = zip(rows[r][c + 1 :], rows[c][c + 1 :], strict=True)
-            rows[r][c + 1 :] = [minus(x, times(factor, y)) for x, y in pairs]
+            for j in range(r if definite else c + 1, n):
+                rows[r][j] = minus(rows[r][j], times(rows[r][c], rows[c][j]))
+                if definite:
+                    rows[j][r] = rows[r][j]
     smallest = jnp.abs(pivots[0])
     for pivot in pivots[1:]:  # what follows a pivot of zero is not a number, and leaves it the smallest
         smallest = jnp.where(jnp.abs(pivot) < smallest, jnp.abs(pivot), smallest)
@@ -138,8 +142,8 @@ def is_positive_definite(mass: list[list[Number]]) -> bool:
 
 
 def largest_of(values: list[Number]) -> Number:
-    """Largest modulus of some components."""
-    largest = jnp.abs(values[0])
-    for value in values[1:]:
-        largest = jnp.maximum(largest, jnp.abs(value))
-    return largest
+    """Largest modulus of some components; what is known of them, or there more than once, costs nothing."""
+    known = [abs(value) for value in values if isinstance(value, float)]
+    others = list({id(value): value for value in values if not isinstance(value, float)}.values())
+    moduli = [*map(jnp.abs, others), *([max(known)] if any(known) or not others else [])]
+    return functools.reduce(jnp.maximum, moduli[1:], jnp.asarray(moduli[0], float))

@@ -160,9 +160,11 @@ def maggi_accelerations(equations: Equations, explicit: Explicit, q: Vector, u: 
         for g, rate in zip(explicit.given, by_u[i], strict=True):
             way[g] = rate
         ways.append(way)
-    small = [[_dot([_dot(row, way) for row in mass], other) for other in ways] for way in ways]
+    momenta = [[_dot(row, way) for row in mass] for way in ways]
+    upper = {(i, j): _dot(momenta[i], ways[j]) for j in range(len(ways)) for i in range(j + 1)}
+    small = [[upper[min(i, j), max(i, j)] for j in range(len(ways))] for i in range(len(ways))]
     right = [_dot(way, forces) for way in ways]
-    (solution,), smallest = eliminate(small, [right], len(free) * explicit.definite)
+    (solution,), smallest = eliminate(small, [right], definite=explicit.definite)
     singular = smallest <= SMALLEST_PIVOT
     if least is not None:
         singular |= least <= SMALLEST_PIVOT

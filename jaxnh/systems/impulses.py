@@ -17,14 +17,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from jaxnh.systems.elimination import eliminate, largest_of
+from jaxnh.systems.elimination import largest_of
 from jaxnh.systems.jourdain import (
     SMALLEST_PIVOT,
     Equations,
     along_motion,
-    bordered_matrix,
     constraint_functions,
     matrices,
+    solve_bordered,
 )
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import slope
@@ -65,7 +65,7 @@ def project_velocities(equations: Equations, q: Vector, v: Vector, t: Number, ac
     f, n = _holding(equations, len(q), active), len(v)
     mass, slopes = matrices(equations, (*q, *v, t), len(q))
     ends = [[float(i == n + j) for i in range(n + len(slopes))] for j in range(len(slopes))]
-    ways, smallest = eliminate(bordered_matrix(mass, slopes, active), ends, equations.definite_columns(mass))
+    ways, smallest = solve_bordered(equations, mass, slopes, ends, active)
     residuals = f(*q, *v, t)
     drift = largest_of(list(residuals))
     for _ in range(_PROJECTIONS):
@@ -93,7 +93,7 @@ def constrained_velocities(
         if active is not None:
             ways = [w * x for w, x in zip(active, ways, strict=True)]
         right = [0.0] * n + [value + way for value, way in zip(f(*at), ways, strict=True)]
-        (less,), _ = eliminate(bordered_matrix(mass, slopes, active), [right], equations.definite_columns(mass))
+        (less,), _ = solve_bordered(equations, mass, slopes, [right], active)
         return tuple(x - dx for x, dx in zip(v, less, strict=False))
 
     return nearer(0, v) if linear else lax.fori_loop(0, _APPROACHES, nearer, tuple(v))
@@ -118,7 +118,7 @@ def reflected_velocities(
     mass, slopes = matrices(equations, at, k)
     normal = [slope(speed, at, k + j) for j in range(len(v))]
     right = [*normal, *[0.0] * len(slopes)]
-    (way,), _ = eliminate(bordered_matrix(mass, slopes, active), [right], equations.definite_columns(mass))
+    (way,), _ = solve_bordered(equations, mass, slopes, [right], active)
     change = (1.0 + restitution) * speed(*at) / sum(n * w for n, w in zip(normal, way, strict=False))
     return tuple(x - change * w for x, w in zip(v, way, strict=False))
 

@@ -59,10 +59,6 @@ class Equations(NamedTuple):
         """q̇ at a state."""
         return tuple(v) if self.kinematics is None else self.kinematics.rates(q, v, t)
 
-    def definite_columns(self, mass: list[list[Number]]) -> int:
-        """Leading columns of the bordered matrix whose pivots need no exchange of rows."""
-        return len(mass) * (self.definite or is_positive_definite(mass))
-
 
 class Accelerations(NamedTuple):
     """Solution of the bordered system of one state.
@@ -135,9 +131,9 @@ def accelerations(
     right = applied_forces(equations, q, v, t)
     turning = [-rate for rate in (along_motion(f, at, equations.rates(q, v, t)) if slopes else ())]
     right += turning if active is None else [_share(w, rate) for w, rate in zip(active, turning, strict=True)]
-    (solution,), smallest = eliminate(bordered_matrix(mass, slopes, active), [right], equations.definite_columns(mass))
+    (solution,), smallest = solve_bordered(equations, mass, slopes, [right], active)
     solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
-    return Accelerations(tuple(solution[:n]), tuple(solution[n:]), smallest <= SMALLEST_PIVOT)
+    return Accelerations(tuple(solution[:n]), tuple(-x for x in solution[n:]), smallest <= SMALLEST_PIVOT)
 
 
 def applied_forces(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
@@ -189,17 +185,25 @@ def _read(function: Callable[..., Any], at: Vector) -> Any:
     return jax.tree.unflatten(jax.tree.structure(result), values)
 
 
-def bordered_matrix(
-    mass: list[list[Number]], slopes: list[list[Number]], active: Sequence[Number] | None = None
-) -> list[list[Number]]:
-    """[M, −Aᵀ; A, 0], the row and the column of a constraint that is not active being those of λ = 0."""
+def solve_bordered(
+    equations: Equations,
+    mass: list[list[Number]],
+    slopes: list[list[Number]],
+    rights: list[list[Number]],
+    active: Sequence[Number] | None = None,
+) -> tuple[list[list[Number]], Number]:
+    """Solutions (x, −λ) of [M, Aᵀ; A, 0] for right sides of k + m components, and the smallest pivot as in `eliminate`.
+
+    The row and the column of a constraint that is not active are those of λ = 0.
+    """
     m, ends = len(slopes), [0.0] * len(slopes)
     if active is not None:
         slopes = [[_share(w, a) for a in row] for w, row in zip(active, slopes, strict=True)]
         size = sum(jnp.abs(row[i]) for i, row in enumerate(mass))
-        ends = [0.0 if isinstance(w, float) and w == 1.0 else size * (1.0 - w) for w in active]
-    top = [[*row, *(minus(0.0, a[i]) for a in slopes)] for i, row in enumerate(mass)]
-    return top + [[*a, *(ends[j] if i == j else 0.0 for i in range(m))] for j, a in enumerate(slopes)]
+        ends = [0.0 if isinstance(w, float) and w == 1.0 else -size * (1.0 - w) for w in active]
+    matrix = [[*row, *(a[i] for a in slopes)] for i, row in enumerate(mass)]
+    matrix += [[*a, *(ends[j] if i == j else 0.0 for i in range(m))] for j, a in enumerate(slopes)]
+    return eliminate(matrix, rights, definite=equations.definite or is_positive_definite(mass))
 
 
 def _share(weight: Number, x: Number) -> Number:

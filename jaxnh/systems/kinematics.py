@@ -101,5 +101,5 @@ def _covector(columns: list[Vector], momenta: list[Number]) -> list[Number]:
     if n == k:
         return eliminate([list(column) for column in columns], [momenta])[0][0]
     gram = [[sum(x * y for x, y in zip(first, second, strict=True)) for second in columns] for first in columns]
-    (shares,), _ = eliminate(gram, [momenta], n)
+    (shares,), _ = eliminate(gram, [momenta], definite=True)
     return [sum(share * column[a] for share, column in zip(shares, columns, strict=True)) for a in range(k)]

@@ -27,7 +27,7 @@ from jaxnh.systems.explicit import (
     maggi_accelerations,
 )
 from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, pairs, status
-from jaxnh.systems.impulses import LARGEST_DRIFT, project_velocities
+from jaxnh.systems.impulses import LARGEST_DRIFT, Projection, project_velocities
 from jaxnh.systems.jourdain import Equations, accelerations, constraint_functions, constraint_slopes, matrices
 from jaxnh.systems.motion import Motion, MotionChart
 from jaxnh.systems.quasi_velocities import QuasiVelocities, equations_of, quasi_velocities_of
@@ -101,7 +101,7 @@ class Lagrangian(DefinedFlow):
     def rhs(self, t: ArrayLike, y: Motion, p: Parameters) -> Motion:
         """Time derivative of a state; a singular matrix makes the rate of the reason not a number.
 
-        Its equations are listed once: of a rolling body 450 in place of 3,300, which take a second to trace, and which
+        Its equations are listed once: of a rolling body 380 in place of 3,300, which take a second to trace, and which
         a small job would trace ten times (`sweeps.timing.startup`, rattleback).
         """
         return _rates(self, t, y, dict(p))
@@ -225,7 +225,7 @@ class Lagrangian(DefinedFlow):
         singular = jnp.isnan(reason)
         off = ~finite
         if self.constraints:
-            projection = project_velocities(self.equations(p), q, v, t)
+            projection = _projection(self, t, q, v, dict(p))
             v, singular = projection.v, singular | projection.singular
             drift = jnp.where(projection.drift > drift, projection.drift, drift)
             if trust:
@@ -322,6 +322,11 @@ class Lagrangian(DefinedFlow):
 @listed_once
 def _rates(system: Lagrangian, t: ArrayLike, y: Motion, p: Parameters) -> Motion:
     return system.derived_rates(t, y, p)
+
+
+@listed_once
+def _projection(system: Lagrangian, t: ArrayLike, q: Vector, v: Vector, p: Parameters) -> Projection:
+    return project_velocities(system.equations(p), q, v, t)
 
 
 @cached_by_structure

@@ -68,7 +68,7 @@ def test_a_spiral_that_dies_down_is_seen_before_it_rests(lorenz):
     found = at_rest(lorenz.flow().flow, {"x": side + 0.1, "y": side, "z": 23.0}, [24.0], 200)
     assert found.fading.tolist() == [True]
     assert found.still.tolist() == [False]
-    assert np.all(np.abs(found.exponents[0] - spectrum(24.0)) <= found.error[0] + 1e-13)
+    assert np.all(np.isnan(found.exponents[0]))  # nothing is linearised of a lane that moves
 
 
 def test_largest_exponent_across_the_flow():

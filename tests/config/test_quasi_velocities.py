@@ -11,10 +11,11 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.start_states import put_on_level
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_return_map
+from jaxnh.maps.general_flow import time_split
 from jaxnh.maps.iterate import iterate
 from jaxnh.mechanics import ellipsoid, rolling_body
 from jaxnh.solvers import dopri8, tsit5
-from jaxnh.systems.lagrangian import Motion, lagrangian
+from jaxnh.systems.lagrangian import Lagrangian, Motion, lagrangian
 from jaxnh.systems.level import off_level, on_level
 from tests.helpers.cases import some_slow
 from tests.helpers.paths import ROOT
@@ -251,3 +252,23 @@ def test_rattleback_is_a_config():
     start = experiment.start({"w3": np.array([-5.0, 5.0])}, 2)
     assert np.abs(np.sum(np.square(start.q), axis=0) - 1).max() < 1e-15
     assert jax.tree.leaves(start)[0].shape == (2,)
+
+
+@pytest.mark.parametrize(("name", "most"), [("rattleback", 340), ("rubber_disk", 400)])
+def test_equations_of_rolling_bodies(name, most):
+    """Every program has them, and a user waits for the compiling of each: 356 and 579 with all entries of a matrix that
+    is symmetric, exchanges of rows that it does not need, and moduli of its zeros."""
+    assert time_split(jaxnh.load(ROOT / f"configs/nonholonomic/{name}.yaml").flow().flow).size <= most
+
+
+def test_starts_have_one_program(monkeypatch):
+    """Starts of all lanes, of samples and of one are brought to the constraints by one, which takes seconds to make."""
+    traced, nearest = list[int](), Lagrangian.nearest
+    monkeypatch.setattr(Lagrangian, "nearest", lambda *at: (traced.append(1), nearest(*at))[1])
+    experiment = jaxnh.load(ROOT / "configs/nonholonomic/rubber_ball.yaml")
+    values = experiment.axes[0].values
+    starts = [experiment.start({}, count, own={"energy": values[:count]}) for count in (len(values), 5, 1)]
+    assert len(traced) == 1
+    for start in starts[1:]:
+        for one, all_of_them in zip(jax.tree.leaves(start), jax.tree.leaves(starts[0]), strict=True):
+            np.testing.assert_array_equal(one, all_of_them[: len(one)])

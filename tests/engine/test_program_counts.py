@@ -27,8 +27,8 @@ def test_programs_of_the_page_on_right_hand_sides():
     """docs/howto/right_hand_side.md: a diagram on a section and a spectrum by strobes of Lorenz's system.
 
     Returns are compiled for the 32 samples of the calibration and for the 64 lanes of the diagram; strobes for the
-    transient of the spectrum, which has no section. The spectrum looks whether lanes have come to rest (`_run`, and
-    `_linearise` there); tangents begin, and are advanced. The calibration takes a first look, and the rates of
+    transient of the spectrum, which has no section. The spectrum looks whether lanes have come to rest (`_run`; none
+    has, and nothing is linearised); tangents begin, and are advanced. The calibration takes a first look, and the rates of
     crossings.
     """
     content = {
@@ -49,7 +49,6 @@ def test_programs_of_the_page_on_right_hand_sides():
         "begin": 1,
         "advance": 1,
         "_run": 1,
-        "_linearise": 1,
         "_follow": 1,
         "_crossing_rates": 1,
     }

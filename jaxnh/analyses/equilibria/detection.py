@@ -16,7 +16,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
@@ -39,7 +39,8 @@ class Equilibrium(NamedTuple):
         still: whether a lane is at rest, where nothing grows, (lanes,).
         fading: whether its motion is dying down, (lanes,).
         exponents, error: real parts of the linearisation's eigenvalues at the equilibrium, largest first, in units of
-            1/time, (lanes, d); NaN where Newton finds no equilibrium, as where there are many side by side.
+            1/time, (lanes, d); NaN of lanes that move, and where Newton finds no equilibrium, as where many lie side by
+            side.
     """
 
     still: Bool[np.ndarray, " lanes"]
@@ -64,19 +65,21 @@ def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equil
     largest, third, fourth, u = run
     never = largest <= _NEVER * largest.max(axis=1, keepdims=True)
     slow = (fourth <= _SLOW * largest) & ((fourth <= third) | (fourth <= _STILL * largest))
+    still, fading = np.all(slow | never, axis=1), np.all((fourth < _SHRINKS * third) | never, axis=1)
+    exponents, error = np.full((2, *u.shape), np.nan)
+    near = np.flatnonzero(still)
+    if not len(near):  # nothing to linearise, and no program to compile for it
+        return Equilibrium(still, fading, exponents, error)
     # At the end, and after one and two steps of Newton from there to where all rates are zero.
-    linear = []
+    linear, u, p = [], u[near], select(dict(batch.p), near)
     for _ in range(3):
-        linear.append(lanes(_linearise, (batch.strobe(),), (u, dict(batch.p))))
+        linear.append(lanes(_linearise, (batch.strobe(),), (u, p)))
         u = u - _shortest_step(linear[-1].change, linear[-1].rate)
     change, closer, exact = (at.change for at in linear)
-    norm = np.linalg.norm(change, axis=(1, 2))
-    holds = _spectrum(change)[0][:, 0] <= _GROWS * norm
-    (exponents, bound), near = _spectrum(exact), _spectrum(closer)[0]
-    error = 2.0 * np.abs(exponents - near) + bound
-    return Equilibrium(
-        np.all(slow | never, axis=1) & holds, np.all((fourth < _SHRINKS * third) | never, axis=1), exponents, error
-    )
+    still[near] &= _spectrum(change)[0][:, 0] <= _GROWS * np.linalg.norm(change, axis=(1, 2))
+    (at_rest, bound), nearly = _spectrum(exact), _spectrum(closer)[0]
+    exponents[near], error[near] = at_rest, 2.0 * np.abs(at_rest - nearly) + bound
+    return Equilibrium(still, fading, exponents, error)
 
 
 def _shortest_step(
