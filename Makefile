@@ -46,12 +46,12 @@ flows: $(INSTALLED)
 # Nonholonomic systems of the literature (configs/nonholonomic), and the pictures of docs/gallery.md.
 gallery: $(addprefix gallery_,$(GALLERY))
 
-gallery_oscillating_mass: PICTURE := --size 130x90 --coordinates along
+gallery_oscillating_mass: PICTURE := --size 130x120 --coordinates along
 gallery_parallel_velocities: PICTURE := --coordinates x1,y1
 gallery_sleigh_with_rotor: PICTURE := --coordinates along,turn
 gallery_roller_racer: PICTURE := --size 130x90 --coordinates along
 gallery_chaplygin_top: PICTURE := --size 130x90 --coordinates w3
-gallery_nose_hoover: PICTURE := --size 130x90 --coordinates p
+gallery_nose_hoover: PICTURE := --size 130x120 --coordinates p
 gallery_switched_sleigh: PICTURE := --size 130x90 --coordinates turn
 gallery_rubber_ball gallery_rubber_disk: PICTURE := --size 130x90 --coordinates w3
 gallery_snakeboard: PICTURE := --size 130x90 --coordinates along
