@@ -49,13 +49,14 @@ gallery: $(addprefix gallery_,$(GALLERY))
 gallery_oscillating_mass: PICTURE := --size 130x120 --coordinates along
 gallery_parallel_velocities: PICTURE := --coordinates x1,y1
 gallery_sleigh_with_rotor: PICTURE := --coordinates along,turn
-gallery_roller_racer: PICTURE := --size 130x90 --coordinates along
-gallery_chaplygin_top: PICTURE := --size 130x90 --coordinates w3
+gallery_roller_racer: PICTURE := --size 130x120 --coordinates along
+gallery_chaplygin_top: PICTURE := --size 130x120 --coordinates w3
 gallery_nose_hoover: PICTURE := --size 130x120 --coordinates p
+gallery_speed_in_space: PICTURE := --size 130x120
 gallery_switched_sleigh: PICTURE := --size 130x90 --coordinates turn
 gallery_rubber_ball gallery_rubber_disk: PICTURE := --size 130x90 --coordinates w3
 gallery_snakeboard: PICTURE := --size 130x90 --coordinates along
-gallery_two_wheeled_carriage: PICTURE := --size 130x90 --coordinates along
+gallery_two_wheeled_carriage: PICTURE := --size 130x120 --coordinates along
 gallery_pursuit: PICTURE := --size 130x125 --coordinates x
 gallery_rattleback: PICTURE := --size 150x180 --coordinates g1,w3
 gallery_celtic_stone: PICTURE := --size 130x90 --coordinates g2
