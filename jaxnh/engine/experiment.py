@@ -249,9 +249,13 @@ class Experiment(Config):
         """Names of all that start states have, and no parameters."""
         return tuple(self.initial.coordinates())
 
-    @functools.cached_property
+    @property
     def axes(self) -> tuple[Axis, ...]:
         """The axes of the sweep, in the order of the config; their product, in C order, is what is run."""
+        return self._axes
+
+    @functools.cached_property
+    def _axes(self) -> tuple[Axis, ...]:  # a public one would be among the keys of the model
         flow, of_starts, axes = self.flow(), self._of_starts, []
         for name, grid in self.sweep.grids.items():
             values = grid.grid()
