@@ -37,7 +37,7 @@ from jaxnh.analyses.covariant.hyperbolicity import (
     judge_splits,
     small_angles,
 )
-from jaxnh.analyses.covariant.least_angles import SearchedMotions, least_angles, searched_returns
+from jaxnh.analyses.covariant.least_angles import DERIVATIVE, SearchedMotions, least_angles, searched_returns
 from jaxnh.analyses.covariant.vectors import (
     CovariantVectors,
     covariant_vectors,
@@ -59,7 +59,6 @@ from jaxnh.maps.section import reports
 from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.state import LaneStates, is_finite
 
-_DERIVATIVE = 7.0  # periods that one with three tangents takes as long as, for the expected work
 _SETTLED = 4  # returns that directions settle in, for the expected work of a search
 _SETTLING = 8  # part of the strobes that either sweep takes more
 _ROOM = 1 << 25  # numbers of frames and triangles in memory at once
@@ -91,7 +90,7 @@ class Motions(NamedTuple):
 
 def periods(options: CovariantOptions, lanes: int) -> float:
     """Return the lane-periods of a run; a period with tangents costs one and about two more for each."""
-    return _following(options, lanes) + lanes * options.search * searched_returns(_SETTLED) * (1.0 + _DERIVATIVE)
+    return _following(options, lanes) + lanes * options.search * searched_returns(_SETTLED) * (1.0 + DERIVATIVE)
 
 
 def check(options: CovariantOptions, setting: Setting) -> None:
@@ -116,7 +115,7 @@ def run(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Da
 
 
 def _following(options: CovariantOptions, lanes: int) -> float:
-    return float(lanes * (options.transient + _points(options) * (1.0 + _DERIVATIVE)))
+    return float(lanes * (options.transient + _points(options) * (1.0 + DERIVATIVE)))
 
 
 def _points(options: CovariantOptions) -> int:
@@ -131,7 +130,7 @@ def _motions(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> 
     d = u.shape[-1]
     each = {name: np.repeat(values, count) for name, values in p.items()}
     points = u.reshape(-1, d), each
-    moved = lanes(derivative_and_volume, (strobe,), points, periods=_DERIVATIVE, tile=ORBIT_TILE)
+    moved = lanes(derivative_and_volume, (strobe,), points, periods=DERIVATIVE, tile=ORBIT_TILE)
     matrices, volumes = (np.array(leaf).reshape(*u.shape[:2], *leaf.shape[1:]) for leaf in moved)
     sound = np.isfinite(matrices).all(axis=(1, 2, 3)) & is_finite(jax.tree.map(lambda leaf: leaf[:, -1], states))
     size = _sizes(u, np.array(batch.chart.angles), sound)
@@ -217,16 +216,16 @@ def _search(
     Both sides of the direction along a flow in time alone are such places. Where angles of the motions are those of a
     tangency, none is looked for.
     """
-    found = np.full(splits.shape, np.nan)
+    smallest = np.full(splits.shape, np.nan)
     for along in sorted({0, neutral}):
         first = growing + along
         (which,) = np.nonzero((growing > 0) & (first <= splits.shape[1]))
         which = which[splits[which, first[which] - 1] != TANGENT]
         at = which, first[which] - 1
-        some = motions.take(which)
-        least = least_angles(some, small_angles(motions.angles)[at], first[which], neutral - along, rounds)
-        splits[at], found[at] = judge_search(splits[at], least, np.min(motions.angles[at], axis=-1)), least.angle
-    return found
+        subset = motions.take(which)
+        least = least_angles(subset, small_angles(motions.angles)[at], first[which], neutral - along, rounds)
+        splits[at], smallest[at] = judge_search(splits[at], least, np.min(motions.angles[at], axis=-1)), least.angle
+    return smallest
 
 
 def _densities(angles: Float[np.ndarray, "lanes splits points"]) -> Float[np.ndarray, "lanes splits bins"]:

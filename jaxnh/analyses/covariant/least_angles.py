@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.covariant.directions import directions_along, settling_returns
 from jaxnh.analyses.covariant.vectors import CovariantVectors
-from jaxnh.analyses.exponents.triangles import orthonormalise
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.section_points import points_at, shear_along_flow, states_at
 from jaxnh.maps.iterate import derivative_and_volume
@@ -31,15 +31,13 @@ ISLANDS = 8
 CHILDREN = 8
 """Ways in which each is moved at once."""
 
-MOST_RETURNS = 64
-"""Returns that directions may take to settle; where they take more, no angle is looked for."""
+DERIVATIVE = 7.0
+"""Periods that one with three tangents takes as long as, for the expected work."""
 
-_SETTLED = 23.0  # directions settle to e^−23 on average
 _LONGEST, _SHORTEST = 0.3, 1e-9  # lengths of moves, in sizes of the motion
 _SPREAD = 1.0  # of the logarithm of lengths about the one that has helped last
 _AT_ONCE = 1 << 22  # numbers of derivatives in memory
 _PATH = 3  # times as many returns as directions settle in: forward, points that count, backward
-_DERIVATIVE = 7.0  # periods that one with three tangents takes as long as, for the expected work
 _MOST_STRETCH = 23.0  # of one return, in logarithms: of positions known to 1e-16 derivatives still are, to 1e-3 or so
 _NEARBY = 0.1  # sizes of the motion between points whose directions are compared
 _ALIGNED = 0.5  # determinant of the cosines between them
@@ -138,28 +136,6 @@ class _Points(NamedTuple):
         return _Points(*(leaf[where] for leaf in self))
 
 
-def settling_returns(
-    growth: Float[np.ndarray, "lanes k"], growing: Int[np.ndarray, " lanes"], neutral: int
-) -> Int[np.ndarray, " lanes"]:
-    """Return in how many returns directions settle, a power of two, and 0 where more than `MOST_RETURNS` are needed.
-
-    Args:
-        growth: of the vectors, per return.
-        growing: number of the first vectors whose angle with the others is looked for, from 1 to k − 1.
-        neutral: number of vectors along the flow, after the growing ones.
-    """
-    k = growth.shape[1]
-    first, others, last = (
-        np.take_along_axis(growth, np.minimum(each, k - 1)[:, None], axis=1)[:, 0]
-        for each in (growing - 1, growing, growing + neutral)
-    )
-    rate = np.minimum(first - others, -last)
-    with np.errstate(divide="ignore"):
-        needed = np.where(rate > 0.0, _SETTLED / np.maximum(rate, 1e-300), np.inf)
-    known = needed <= MOST_RETURNS
-    return np.where(known, 2 ** np.ceil(np.log2(np.maximum(np.where(known, needed, 1.0), 1.0))), 0.0).astype(int)
-
-
 def searched_returns(n: int) -> int:
     """Return how many returns one round follows in a lane whose directions settle in n."""
     return ISLANDS * CHILDREN * _PATH * n
@@ -182,7 +158,7 @@ def least_angles(
     """
     batch = motions.batch
     none = np.full(batch.count, np.nan)
-    found = LeastAngles(none, none.copy(), np.zeros(batch.count, bool))
+    least = LeastAngles(none, none.copy(), np.zeros(batch.count, bool))
     returns = settling_returns(np.mean(motions.vectors.growth, axis=1), growing, neutral)
     for j, n in sorted(set(zip(growing.tolist(), returns.tolist(), strict=True))):
         (which,) = np.nonzero((growing == j) & (returns == n))
@@ -190,13 +166,13 @@ def least_angles(
             continue
         islands = _begin(motions.take(which), j, n)
         scene = _Scene(batch.take(which), motions.lanes, motions.size[which], small[which], j, n)
-        work = float(len(which) * rounds * searched_returns(n) * (1.0 + _DERIVATIVE))
+        work = float(len(which) * rounds * searched_returns(n) * (1.0 + DERIVATIVE))
         with motions.lanes.stage(f"covariant: smaller angles in {len(which):,} lanes", work):
-            for made, (least, crossed) in enumerate(_rounds(scene, islands, rounds), start=1):
-                found.angle[which], found.crossed[which] = least, crossed
+            for made, (smallest, crossed) in enumerate(_rounds(scene, islands, rounds), start=1):
+                least.angle[which], least.crossed[which] = smallest, crossed
                 if 2 * made <= rounds:
-                    found.before[which] = least
-    return found
+                    least.before[which] = smallest
+    return least
 
 
 def _begin(motions: SearchedMotions, j: int, n: int) -> _Points:
@@ -316,14 +292,14 @@ def _least_and_steepest(
     path, matrices, sound = _motions_from(scene, u, _PATH * n)
     section = batch.flow is not batch.system
     shear = shear_along_flow(batch, lanes, path, size, ORBIT_TILE) if section else None
-    angles, stretch, along, directions = _angles_on_paths(scene, matrices, frames, shear)
+    angles, stretch, along, directions = directions_along(matrices, frames, scene.j, n, shear)
     known = sound[:, None] & (stretch <= _MOST_STRETCH)
     angles, stretch = np.where(known, angles, np.inf), np.where(known, stretch, -np.inf)
-    every, found = np.arange(len(path)), []
+    every, points = np.arange(len(path)), []
     for i in (np.argmin(angles, axis=1), np.argmax(stretch, axis=1)):
         at = (along[i, every], angles[every, i], stretch[every, i], path[every, i + n], directions[i, every])
-        found.append(_Points(path[every, i], *at))
-    return found[0], found[1]
+        points.append(_Points(path[every, i], *at))
+    return points[0], points[1]
 
 
 def _motions_from(
@@ -335,75 +311,8 @@ def _motions_from(
     states = lanes.record(strobe, count, (states_at(batch, lanes, u, ORBIT_TILE), p), tile=ORBIT_TILE)
     path = np.concatenate([u[:, None], points_at(batch, lanes, states, ORBIT_TILE)[:, :-1]], axis=1)
     each = {name: np.repeat(values, count) for name, values in p.items()}
-    moved = lanes(derivative_and_volume, (strobe,), (path.reshape(-1, d), each), periods=_DERIVATIVE, tile=ORBIT_TILE)
+    moved = lanes(derivative_and_volume, (strobe,), (path.reshape(-1, d), each), periods=DERIVATIVE, tile=ORBIT_TILE)
     matrices = np.array(jax.tree.leaves(moved)[0]).reshape(len(u), count, d, d)
     matrices = matrices * (size[:, None, None, :] / size[:, None, :, None])
     sound = np.isfinite(matrices).all(axis=(1, 2, 3)) & np.all(np.max(np.abs(matrices), axis=(2, 3)) > 0.0, axis=1)
     return path, np.where(sound[:, None, None, None], matrices, np.eye(d)), sound
-
-
-def _angles_on_paths(
-    scene: _Scene,
-    matrices: Float[np.ndarray, "lanes steps d d"],
-    frames: Float[np.ndarray, "lanes d k"],
-    shear: Float[np.ndarray, "lanes steps d d"] | None,
-) -> tuple[
-    Float[np.ndarray, "lanes some"],
-    Float[np.ndarray, "lanes some"],
-    Float[np.ndarray, "some lanes d k"],
-    Float[np.ndarray, "some lanes 2 d j"],
-]:
-    """Return angles between what grows and what shrinks, n steps and more after frames, so long as n are left.
-
-    With them the stretch of the step before, the frames n steps before, and directions (`_Points`). What is across the
-    directions that shrink is what transposed maps take it to, from the last step back.
-
-    Args:
-        shear: into coordinates that angles are measured in; None: they are those of the matrices.
-    """
-    j, n, k, steps = scene.j, scene.n, frames.shape[2], matrices.shape[1]
-    along, triangles = [frames], []
-    for i in range(steps):
-        frames, triangle = orthonormalise(matrices[:, i] @ along[-1])
-        along.append(frames)
-        triangles.append(triangle)
-    across = np.broadcast_to(np.linalg.qr(np.random.default_rng(1).normal(size=(k, j)))[0], (len(frames), k, j))
-    seen = {i: _sheared_frame(along[i], None if shear is None else shear[:, i]) for i in range(n - 1, steps - n + 1)}
-    sines, stretch, directions = [], [], []
-    for i in reversed(range(n, steps)):
-        across = np.linalg.qr(np.swapaxes(triangles[i], 1, 2) @ across)[0]
-        if i <= steps - n:
-            sines.append(_sine(across, j, seen[i]))
-            directions.append(np.stack([along[i][:, :, :j], along[i] @ across], axis=1))
-            stretch.append(_volume(triangles[i - 1], j) + _volume(seen[i], j) - _volume(seen[i - 1], j))
-    angles = np.arcsin(np.minimum(np.stack(sines[::-1], axis=1), 1.0))
-    return angles, np.stack(stretch[::-1], axis=1), np.stack(along[: angles.shape[1]]), np.stack(directions[::-1])
-
-
-def _sheared_frame(
-    frame: Float[np.ndarray, "lanes d k"], shear: Float[np.ndarray, "lanes d d"] | None
-) -> Float[np.ndarray, "lanes k k"]:
-    """Return the columns of a frame in the coordinates that angles are measured in, upper triangular."""
-    if shear is None:
-        return np.broadcast_to(np.eye(frame.shape[2]), (len(frame), frame.shape[2], frame.shape[2]))
-    return np.linalg.qr(shear @ frame)[1]
-
-
-def _volume(triangles: Float[np.ndarray, "lanes k k"], j: int) -> Float[np.ndarray, " lanes"]:
-    """Return the logarithm of what triangles make of the volume of the first j directions."""
-    return np.sum(np.log(np.abs(np.diagonal(triangles, axis1=1, axis2=2)[:, :j])), axis=1)
-
-
-def _sine(
-    across: Float[np.ndarray, "lanes k j"], j: int, seen: Float[np.ndarray, "lanes k k"]
-) -> Float[np.ndarray, " lanes"]:
-    """Return the sine of the smallest angle between the first j columns of a frame and what shrinks.
-
-    Args:
-        across: orthonormal, what is across the directions that shrink, in the frame.
-        seen: the columns of the frame in the coordinates that angles are measured in.
-    """
-    shrinking = np.linalg.qr(seen @ np.linalg.qr(across, mode="complete")[0][:, :, j:])[0]
-    growing = np.linalg.qr(seen[:, :, :j])[0]
-    left = growing - shrinking @ (np.swapaxes(shrinking, 1, 2) @ growing)
-    return np.linalg.svd(left, compute_uv=False)[:, -1]
