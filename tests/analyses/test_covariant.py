@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 import jaxnh
+from jaxnh.analyses.covariant.directions import settling_returns
 from jaxnh.analyses.covariant.hyperbolicity import BOUNDED, SPLITS, TANGENT, judge_splits
 from jaxnh.analyses.covariant.vectors import covariant_vectors, smallest_angles, volume_growth
 from tests.flows import lorenz
@@ -226,6 +227,13 @@ def lozi(a=1.7, b=0.5):
         return 1.0 - a * jnp.abs(x) + y, b * x
 
     return {"map": image, "coordinates": ("x", "y")}
+
+
+def test_returns_in_which_directions_settle():
+    """By the slower of what parts directions and what shrinks across the leaf, e^−23; none where that takes over 64."""
+    growth = np.array([[0.5, -2.0, -3.0], [0.1, -0.2, -3.0], [0.5, 0.0, -1.0], [0.5, 0.0, -1.0]])
+    needed = [settling_returns(growth, np.full(4, 1), neutral)[i] for i, neutral in enumerate((0, 0, 0, 1))]
+    assert needed == [16, 0, 0, 64]
 
 
 def test_a_search_finds_no_tangency_where_there_is_none():
