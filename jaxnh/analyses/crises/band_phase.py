@@ -70,11 +70,9 @@ def is_periodic(path: Float[np.ndarray, "points d"], bands: int) -> bool:
     """Return whether a path has become periodic, as in a window: it then tells nothing of the bands there."""
     last = min(_REPEATS * bands, len(path) // 2)
     tail = path[-last:]
-    lags = range(1, min(_LAGS, len(path) - last) + 1)
-    return any(
-        np.abs(path[-1 - lag] - path[-1]).max() <= _SAME and np.abs(path[-last - lag : -lag] - tail).max() <= _SAME
-        for lag in lags
-    )
+    most = min(_LAGS, len(path) - last)
+    again = np.abs(path[-1 - most : -1][::-1] - path[-1]).max(axis=1) <= _SAME  # the last point, by the lag
+    return any(np.abs(path[-last - lag : -lag] - tail).max() <= _SAME for lag in (1 + np.flatnonzero(again)).tolist())
 
 
 def embed_points(
