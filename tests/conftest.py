@@ -13,7 +13,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import dask.config
@@ -54,8 +53,7 @@ class WithoutHeyoka(importlib.abc.MetaPathFinder):
 if not importlib.util.find_spec("heyoka"):
     sys.meta_path.append(WithoutHeyoka())
 
-from jaxnh.engine.executor.lanes import TILE, LaneExecutor  # noqa: E402
-from jaxnh.engine.progress import Progress  # noqa: E402
+from jaxnh.engine.executor.lanes import LaneExecutor  # noqa: E402
 from tests.helpers import kept_programs  # noqa: E402
 from tests.helpers.commands import Command, run_here, run_process  # noqa: E402
 from tests.helpers.kept_calibrations import calibrating_by, once, unless_given  # noqa: E402
@@ -109,14 +107,20 @@ def quickly_uncalibrated(request: pytest.FixtureRequest) -> None:
 def one_core(request: pytest.FixtureRequest) -> Iterator[None]:
     """For modules whose quick tests have sessions of few lanes: no lanes but theirs fill tiles up on a second core.
 
-    Bits are those of any number of cores. Slow tests have sessions as users have them.
+    Bits are those of any number of cores. Slow tests have sessions as users have them, but with `always_one_core`.
     """
-
-    def executor(progress: Progress, devices: list[Any], tile: int = TILE) -> LaneExecutor:
-        return lanes_with_kept_programs(progress, devices[:1], tile, kind=PaddedToFew)
-
-    few = executor if request.config.getoption("markexpr") == "not slow" else LaneExecutor
+    few = kept_programs.lanes_on_one_core if request.config.getoption("markexpr") == "not slow" else LaneExecutor
     with mock.patch("jaxnh.engine.session.LaneExecutor", few):
+        yield
+
+
+@pytest.fixture(scope="module")
+def always_one_core() -> Iterator[None]:
+    """The same for modules whose slow sessions and commands have few lanes as well; tiles are as users have them."""
+    with (
+        mock.patch.object(kept_programs, "lanes_of_commands", kept_programs.lanes_on_one_core),
+        mock.patch("jaxnh.engine.session.LaneExecutor", kept_programs.lanes_on_one_core),
+    ):
         yield
 
 

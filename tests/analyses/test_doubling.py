@@ -18,6 +18,8 @@ from tests.helpers import taylor
 from tests.helpers.cases import some_slow
 from tests.helpers.paths import ROOT
 
+pytestmark = pytest.mark.usefixtures("always_one_core")
+
 FEIGENBAUM = 4.669201609102990  # Briggs, Math. Comp. 57 (1991) 435
 TABLES = {"table1": taylor.Parameters(), "table2": taylor.Parameters(d=0.1)}
 SMALL = ("accuracy.target=1e-9", "analyses.doubling.levels=3")

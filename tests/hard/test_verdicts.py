@@ -20,11 +20,15 @@ from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 from tests.helpers.batches import batch_of
+from tests.helpers.kept_programs import lanes_with_kept_programs
 from tests.helpers.paths import ROOT
+
+pytestmark = pytest.mark.usefixtures("always_one_core")
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SYSTEMS = {"constant speed": (constant_speed(), 0.1), "disturbed speed": (disturbed_speed(), 0.01)}
 PERIODIC, QUASIPERIODIC, CHAOTIC = (verdict.KINDS.index(name) for name in ("periodic", "quasiperiodic", "chaotic"))
+FEW = lanes_with_kept_programs(None, jax.devices()[:1], 8)
 TRANSIENTS = [5.22, 5.261818]
 """Values of b at constant speed at which chaos goes on for thousands of periods before the lane finds its orbit."""
 
@@ -48,6 +52,12 @@ def van_der_pol(stiffness=1.0):
         "coordinates": ("x",),
         "period": 2.0,
     }
+
+
+@pytest.fixture
+def lanes(battery):
+    """Tiles as commands have them; at small sizes, of a dozen lanes, of eight on one core."""
+    return LaneExecutor() if battery.full else FEW
 
 
 def judged(scene, lanes, transient, averaged, times=1):
@@ -82,13 +92,13 @@ def turned_over(battery, scenes, lanes, lengths, what):
 
 @pytest.mark.slow
 @pytest.mark.case("Verdicts of longer runs")
-def test_verdicts_of_random_lanes(battery):
+def test_verdicts_of_random_lanes(battery, lanes):
     """Over the paper's ranges, and again within the gaps between neighbours of which one is chaotic: edges of windows.
 
     Some 400 lanes of each system: with one in 500 allowed, a rate of one in 170 would be seen 19 times in 20.
     """
     count, lengths = (250, (512, 1024)) if battery.full else (12, (128, 256))
-    lanes, scenes = LaneExecutor() if battery.full else LaneExecutor(tile=8), []
+    scenes = []
     for number, (name, (_, low)) in enumerate(SYSTEMS.items()):
         draw = np.random.default_rng([2, number])
         b = np.sort(draw.uniform(low, 6.0, count))
@@ -101,10 +111,9 @@ def test_verdicts_of_random_lanes(battery):
 
 @pytest.mark.slow
 @pytest.mark.case("Verdicts of longer runs")
-def test_verdicts_of_pendula(battery):
+def test_verdicts_of_pendula(battery, lanes):
     """With and without damping: swings, whole turns, chaos, and tori, on which nothing is chaotic."""
     count, lengths = (128, (256, 512)) if battery.full else (6, (64, 128))
-    lanes = LaneExecutor() if battery.full else LaneExecutor(tile=8)
     draw, scenes = np.random.default_rng(3), []
     for damping, most in ((0.5, 1.6), (0.0, 0.34)):
         flow = lagrangian(pendulum, {"damping": damping, "drive": 1.0})
@@ -136,14 +145,14 @@ def growth_of_a_tangent(starts, drive, count):
 
 @pytest.mark.slow
 @pytest.mark.case("Verdicts of longer runs")
-def test_weak_chaos_beside_tori(battery):
+def test_weak_chaos_beside_tori(battery, lanes):
     """An undamped pendulum, at rest at random angles: tori, the thin layers of chaos between them, and the sea.
 
     On tori tangents grow in proportion to time; what has grown by N⁴ over N periods, ten times as many as the averages
     are taken over, is chaotic. Some 400 lanes: none wrong, where one in 130 would be seen 19 times in 20.
     """
     count, lengths, periods = (128, (256, 512), 40_000) if battery.full else (8, (64, 128), 8_000)
-    lanes, wrong, words = LaneExecutor() if battery.full else LaneExecutor(tile=8), 0, []
+    wrong, words = 0, []
     for number, drive in enumerate((0.1, 0.3, 0.6)):
         angles = np.sort(np.random.default_rng([7, number]).uniform(0.0, math.pi, count))
         flow = lagrangian(pendulum, {"drive": drive})
@@ -167,9 +176,8 @@ def test_weak_chaos_beside_tori(battery):
 @pytest.mark.case("Verdicts of longer runs")
 def test_transients_of_chaos(battery):
     """Chaos over the whole of the average that ends later is not called chaos, and what it ends in is said."""
-    lanes = LaneExecutor(tile=8)
     b = TRANSIENTS if battery.full else TRANSIENTS[:1]
-    found = judged(particle("constant speed", b), lanes, 512, 1024)
+    found = judged(particle("constant speed", b), FEW, 512, 1024)
     battery.row(f"b = {b}, 512 + 1,024 periods", int(np.sum(found["kind"] == CHAOTIC)), 0, "called chaotic:")
 
 
@@ -177,17 +185,16 @@ def test_transients_of_chaos(battery):
 @pytest.mark.case("Verdicts of longer runs")
 def test_limit_cycle_beside_a_strobe(battery):
     """Where the right-hand side knows no time a limit cycle is no periodic lane; a pendulum without damping is undecided."""
-    lanes = LaneExecutor(tile=8)
     flow = lagrangian(van_der_pol, {"stiffness": 1.0})
     start = flow.start({"x": 0.5, "x_dot": 0.0})
     cycles = batch_of(flow, start, [0.5, 1.0], SOLVERS["dopri5"], 60, name="stiffness", error=1e-8)
-    kind = judged(cycles, lanes, 128, 256)["kind"].to_numpy()
+    kind = judged(cycles, FEW, 128, 256)["kind"].to_numpy()
     battery.row("limit cycles of van der Pol", int(np.sum(kind == QUASIPERIODIC)), 0, "called quasiperiodic:")
     assert {verdict.KINDS[i] for i in kind} <= {"limit_cycle", "undecided"}
     free = lagrangian(pendulum, {"damping": 0.0, "drive": 0.0})
     start = free.start({"angle": 0.3, "angle_dot": 0.2})
     swings = batch_of(free, start, [0.0, 0.0], SOLVERS["dopri5"], 60, name="drive", error=1e-8)
-    kind = judged(swings, lanes, 128, 256)["kind"].to_numpy()
+    kind = judged(swings, FEW, 128, 256)["kind"].to_numpy()
     battery.row("swings of a free pendulum", int(np.sum(kind == QUASIPERIODIC)), 0, "called quasiperiodic:")
     assert CHAOTIC not in kind
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib
 import io
 import os
@@ -15,7 +14,6 @@ from pathlib import Path
 from unittest import mock
 
 from tests.helpers import kept_programs
-from tests.helpers.kept_programs import lanes_with_kept_programs
 from tests.helpers.paths import ROOT
 
 Command = Callable[..., subprocess.CompletedProcess]
@@ -27,14 +25,13 @@ def run_here(*arguments: object, cwd: Path = ROOT, command: str = "sweep") -> su
     out, err = io.StringIO(), io.StringIO()
     argv = [f"jaxnh.{command}", *map(str, arguments)]
     main = importlib.import_module(f"jaxnh.{command}").main
-    executor = functools.partial(lanes_with_kept_programs, kind=kept_programs.executor_of_tests)
     with (
         contextlib.chdir(cwd),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
         mock.patch.object(sys, "argv", argv),
-        mock.patch("jaxnh.engine.run.LaneExecutor", executor),
-        mock.patch("jaxnh.engine.verification.LaneExecutor", executor),
+        mock.patch("jaxnh.engine.run.LaneExecutor", kept_programs.lanes_of_commands),
+        mock.patch("jaxnh.engine.verification.LaneExecutor", kept_programs.lanes_of_commands),
     ):
         code = main()
     return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())

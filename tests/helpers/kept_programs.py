@@ -54,6 +54,21 @@ def lanes_with_kept_programs(
     return kind(progress, devices, tile, programs)
 
 
+def lanes_of_commands(
+    progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE
+) -> LaneExecutor:
+    """Lanes of commands that find the programs of earlier runs in this process."""
+    return lanes_with_kept_programs(progress, devices, tile, kind=executor_of_tests)
+
+
+def lanes_on_one_core(
+    progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE
+) -> LaneExecutor:
+    """The same on the first device: of few lanes all others compute nothing but what fills their tiles up."""
+    devices = jax.devices() if devices is None else devices
+    return lanes_with_kept_programs(progress, devices[:1], tile, kind=executor_of_tests)
+
+
 def session_of(experiment: Experiment) -> Session:
     """A session that finds the programs of earlier ones in this process, on one core: the other would fill up tiles."""
     found = Session(experiment)
