@@ -16,7 +16,7 @@ from jaxnh.analyses.base import LANE
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import attractor_survey, period
 from jaxnh.analyses.trajectories import diagram
-from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.executor.lanes import TILE, LaneExecutor
 from jaxnh.engine.experiment import load
 from jaxnh.exceptions import AccuracyError, ConfigError
 from jaxnh.maps.build import make_return_map
@@ -35,10 +35,10 @@ from tests.helpers.kept_programs import lanes_with_kept_programs
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 
 
-@pytest.fixture(scope="module")
-def lanes():
-    """Tiles as commands have them: here are thousands of lanes, and bits are those of `LaneExecutor()` on one device."""
-    return lanes_with_kept_programs()
+@pytest.fixture
+def lanes(battery):
+    """Tiles as commands have them, of thousands of lanes; at small sizes, of some dozens, of 32."""
+    return lanes_with_kept_programs(tile=TILE if battery.full else 32)
 
 
 def scene_at(values, steps=128, solver="blanes_moan6", system=None, start=START):
@@ -135,7 +135,7 @@ def test_long_chaos(battery, lanes):
     battery.row("the same lanes at their end", worst(off), 1e-14, "largest ||n| − 1|")
     few, shorter = slice(count // 2 - 37, count // 2 + 26), min(periods, 2000)
     start = jax.tree.map(lambda leaf: leaf[few], (state, p))
-    one = LaneExecutor(devices=jax.devices()[:1])
+    one = LaneExecutor(devices=jax.devices()[:1], tile=lanes.tile)
     alone = one(iterate, (strobe, np.int32(shorter)), start)
     among = lanes(iterate, (strobe, np.int32(shorter)), (state, p))
     differing = sum(
@@ -148,7 +148,10 @@ def test_long_chaos(battery, lanes):
         "numbers that differ:",
     )
     scene = scene_at(np.linspace(5.2, 5.8, 300 if battery.full else 20), 110)
-    on_one, on_two = everything(scene, LaneExecutor(devices=jax.devices()[:1])), everything(scene, lanes)
+    on_one, on_two = (
+        everything(scene, LaneExecutor(devices=jax.devices()[:1], tile=lanes.tile)),
+        everything(scene, lanes),
+    )
     differing = sum(
         int(np.sum(~same(v.values, on_two[name].variables[key].values)))
         for name, group in on_one.items()
