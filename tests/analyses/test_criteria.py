@@ -171,13 +171,11 @@ def test_sum_rule(case):
 
 
 @pytest.mark.slow
-def test_sum_rule_sees_integration_errors():
+def test_sum_rule_sees_integration_errors(lanes):
     """Steps of order 6 that are halved leave some 2⁶ times less; the determinants of the steps see no error at all."""
     b, options = [2.5, 4.1, 5.3], lyapunov.LyapunovOptions(transient=16, periods=32)
     found = {
-        steps: lyapunov.run(
-            options, batch_of(constant_speed(), START, b, SPLITTINGS["blanes_moan6"], steps), LaneExecutor()
-        )
+        steps: lyapunov.run(options, batch_of(constant_speed(), START, b, SPLITTINGS["blanes_moan6"], steps), lanes)
         for steps in (30, 60, 120)
     }
     residual = {steps: np.abs(group["sum_rule_residual"].to_numpy()) for steps, group in found.items()}
