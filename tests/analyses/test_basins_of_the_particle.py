@@ -11,7 +11,7 @@ from tests.helpers import taylor
 from tests.helpers.kept_programs import session_of
 
 SIDE = 31  # 961 starts
-TRANSIENT, LAST, LIMIT = 400, 24, 12
+TRANSIENT, LAST, LIMIT = 200, 24, 12
 
 
 @pytest.mark.slow
@@ -21,7 +21,7 @@ def test_shares_of_the_particle(b):
 
     There lanes are told apart by the side of their last strobe points, as attractors are symmetric, with a mean of
     zero, or twins about (±2.6, ±2.8), and by the least n up to 12 after which these recur within 1e-4; none is chaos.
-    By then an orbit's transient of 0.712 a turn, the slowest at 5.475, has fallen to exp(−45). The maps differ by 1e-6
+    By then an orbit's transient of 0.712 a turn, the slowest at 5.475, has fallen to exp(−22). The maps differ by 1e-6
     a period, which near a basin's boundary decides; such starts are a small part of all, and the rest has to agree one
     by one.
     """
