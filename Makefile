@@ -130,16 +130,17 @@ NEWEST ?= $(lastword $(wildcard $(foreach minor,11 12 13 14 15,$(HOME)/.pyenv/ve
 release-check: $(INSTALLED)
 	$(RUN)/python -m sweeps.checks.release_check --newest '$(NEWEST)'
 
-# Style, layers, names, types and all tests but those marked slow. Types are checked beside the tests, by one core for a minute.
+# Style, layers, names, types and all tests but those marked slow. Types, and names in strings, are checked beside the tests, by
+# one core for a minute.
 test: $(INSTALLED)
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
 	$(RUN)/lint-imports --no-cache
 	$(RUN)/python -m sweeps.checks.names
-	$(RUN)/python -m sweeps.checks.quoted_names
 	$(MAKE) --jobs=2 --keep-going check_types check_tests
 
 check_types: $(INSTALLED)
+	$(RUN)/python -m sweeps.checks.quoted_names
 	$(RUN)/basedpyright --warnings
 
 # A browser for the tests of the explorer's page, where tests run by themselves (CI is set, as root, on Debian's like) and

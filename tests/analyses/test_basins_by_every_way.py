@@ -94,6 +94,7 @@ def test_two_workers(double_well, in_memory, tmp_path):
     )  # which a process of its own has measured
 
 
+@pytest.mark.slow  # the matrix has basins over a shared axis
 def test_rows_of_a_shared_axis(tmp_path):
     """Over a frequency, which is the clock: each value as by itself, and an orbit has the same number at both."""
     rates = "v, 0.5 * jnp.cos(omega * t) - 0.2 * v - x - x**3"

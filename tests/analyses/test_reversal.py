@@ -442,8 +442,11 @@ def test_what_is_no_reversal_is_refused_with_the_place():
         return {"rhs": rhs, "coordinates": ("x", "v"), "reversal": {"v": -1}}
 
     session = jaxnh.Session(system, start={"x": 0.3, "v": 0.1}, target=1e-6).on(coordinate="x", direction="both")
+    assert session.plan.error_estimate <= 1e-6
+    compiled = len(session._lanes.programs)
     with pytest.raises(InputError) as refused:
         session.run(jaxnh.Reversal(transient=16, strobes=64, periods=16), friction=[0.1, 0.2])
+    assert len(session._lanes.programs) == compiled
     line = str(refused.value)
     assert "the system's reversal is none: at x = " in line
     numbers = [

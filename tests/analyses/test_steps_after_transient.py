@@ -35,6 +35,7 @@ def scene_over(box, count, seed, target=TARGET):
     return LaneBatch(SYSTEM, start, {}, SPLITTINGS["processed6"], STEPS, False, TARGET, target=target)
 
 
+@pytest.mark.slow  # steps are chosen in the quick test below
 def test_error_after_the_first_look(lanes):
     """Of other lanes than those that chose: no period of 1,600 errs by more than the target, with 3/4 of the steps some.
 

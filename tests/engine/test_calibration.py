@@ -11,6 +11,7 @@ import pytest
 
 import jaxnh
 from jaxnh.analyses.batch import broadcast_start
+from jaxnh.engine.accuracy.sample_maps import SampleMaps
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.plan import calibrate
@@ -19,6 +20,7 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.particle import CHART, disturbed_speed
+from tests.flows.lorenz import lorenz
 from tests.flows.particle import SYSTEMS, twin
 from tests.helpers import taylor
 from tests.helpers.batches import calibrated
@@ -176,6 +178,24 @@ def test_a_section_over_an_axis_that_lanes_share():
     assert float(abs(found["y1"]).max()) < 1e-12
     assert float(found["y2"].min()) > 0.0
     assert float(abs(found["x2"] ** 2 + found["y2"] ** 2 - found["c"]).max()) < 1e-12  # splittings turn a unit vector
+
+
+@pytest.mark.usefixtures("quick_compiling_once")
+def test_a_section_that_is_never_met_is_refused_soon():
+    """Once three numbers of steps agree: not after as many steps as any flow could need, by lanes that go on and on."""
+    kicks, of = [], SampleMaps.of
+
+    def counted(maps, solver, steps, **others):
+        kicks.append(solver.total_kicks(steps))
+        return of(maps, solver, steps, **others)
+
+    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-8).on("z", 500.0, "up")
+    refusal = (
+        "every lane of this sweep does not come back to its section; at rho = 20 the section may not be met within"
+    )
+    with mock.patch.object(SampleMaps, "of", counted), pytest.raises(AccuracyError, match=refusal):
+        session.run("diagram", rho=[20.0, 28.0])
+    assert max(kicks) < 2_000
 
 
 @pytest.mark.parametrize("analysis", [pytest.param("diagram", marks=pytest.mark.slow), "basins"])

@@ -192,10 +192,23 @@ def _settle(rate, x):
     return lax.fori_loop(0, 1000, lambda i, y: rate * y * (1.0 - y), x)
 
 
-def test_a_card_computes_what_the_host_does():
+@pytest.mark.usefixtures("quick_compiling_once")
+@pytest.mark.parametrize(
+    ("analysis", "options", "names"),
+    [
+        ("diagram", {"transient": 8, "strobes": 4}, ["x1"]),
+        pytest.param(
+            "lyapunov",
+            {"transient": 8, "periods": 16, "exponents": 1},
+            ["exponents", "exponents_error"],
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_card_computes_what_the_host_does(analysis, options, names):
     """The executor's way on a card, in large tiles with each lane at its own table, on CPU devices."""
     chart = {
-        "analyses": {"lyapunov": {"transient": 8, "periods": 16, "exponents": 1}},
+        "analyses": {analysis: options},
         "system": {"constraint": "disturbed_speed"},
         "sweep": {"b": {"start": 5.2, "stop": 5.6, "count": 3}, "d": {"start": 0.0, "stop": 0.1, "count": 5}},
         "accuracy": {"solver": "blanes_moan6", "steps": 60},
@@ -207,5 +220,5 @@ def test_a_card_computes_what_the_host_does():
             mock.patch.object(executor, "_ON_CARD", (16, 64)),
         ):
             card = jaxnh.run(particle(**chart))
-    for name in ("exponents", "exponents_error"):
-        np.testing.assert_allclose(card["lyapunov"][name], host["lyapunov"][name], rtol=1e-6, atol=1e-9)
+    for name in names:
+        np.testing.assert_allclose(card[analysis][name], host[analysis][name], rtol=1e-6, atol=1e-9)

@@ -180,6 +180,7 @@ def lorenz(rate=1.0):
     return {"rhs": rhs, "coordinates": ("x", "y", "z"), "time_unit": 60.0}
 
 
+@pytest.mark.slow  # `test_a_unit_of_time_of_many_oscillations` is quick
 def test_a_unit_of_time_in_which_chaos_enlarges_everything(lanes):
     """Lorenz over 60: e^(0.9 · 60) of rounding is all there is, so that errors are of a part, and that keeps the target."""
     flow, plan, _ = plan_and_calibration(lorenz, (1.0, 1.0, 20.0), lanes, target=1e-8)

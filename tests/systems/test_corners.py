@@ -214,6 +214,7 @@ def by_hand(alpha=9.0):
     return {"rhs": rhs, "coordinates": ("x", "u", "v"), "switches": switches}
 
 
+@pytest.mark.slow  # `test_motions_across_corners` is quick
 def test_a_target_that_corners_had_refused():
     """1e-10, which steps over the corners miss by a hundred times; plan and bits are those of switches by hand."""
     runs = []

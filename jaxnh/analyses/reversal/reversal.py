@@ -107,10 +107,15 @@ def check(options: ReversalOptions, setting: Setting) -> None:
 
 
 def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:
-    """Choose the reversal, and how often tangents are orthonormalised, the same for all lanes of a sweep."""
-    reversal = choose_reversal(batch)
+    """Choose the reversal, and how often tangents are orthonormalised, the same for all lanes of a sweep.
+
+    Raises:
+        OptionError: the flow has no reversal.
+    """
     if isinstance(batch.solver, AdaptiveMethod):
         raise OptionError(f"the flow takes steps of a lane's own ({batch.solver.name}), which go forward alone")
+    reversal = choose_reversal(batch)
+    reversal_of(batch, reversal)  # where there is none, nothing is compiled to say so
     return {"reversal": reversal, **lyapunov.choose(_of_exponents(options, batch), batch, lanes)}
 
 

@@ -34,6 +34,7 @@ _STEPS_A_PART = 64  # of a unit of time: so short that chaos has not yet enlarge
 _FEWEST_STEPS = 96  # that samples are judged by: what overflows with these is lost
 _GROWS = 5.0  # times that the largest coordinate grows in each quarter of a path: without bound
 _FAR_GROWN = 1e3  # times what it was at the start: no size of a motion
+_NO_LANE_RETURNS = 3  # numbers of steps, each twice the one before, with which no lane comes back: then none does
 _NOT_LOST_BY_STEPS = (NO_RETURN, CHATTERING, CODIMENSION_TWO)  # why lanes fail whatever the steps
 
 
@@ -116,15 +117,19 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
     for ever if such steps lose it too.
 
     Raises:
+        AccuracyError: no lane comes back to its section, by several numbers of steps.
         LostLaneError: the most that are tried lose a lane whose motion stays finite.
     """
     solver, steps = maps.scheme.reference, maps.scheme.rough_steps
     start = image_of(samples.states)
     image = maps.image(maps.of(solver, steps), samples)
-    lost, stays = np.ones(len(samples.row), bool), -1
+    lost, stays, without_return = np.ones(len(samples.row), bool), -1, 0
     while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
         maps.tell(f"the start states with {2 * steps * solver.stages:,} kicks a period")
         later = maps.by_flow(iterate, lambda row, n=2 * steps: (maps.of(solver, n)(row), np.int32(1)), samples, 1)
+        without_return = without_return + 1 if maps.sectioned and np.all(later.reason == NO_RETURN) else 0
+        if without_return == _NO_LANE_RETURNS:
+            raise _no_lane(maps, samples)
         coarser, image = image, image_of(later)
         gaps = gaps_between(differences(coarser, image), rough_sizes(maps, start, image))
         lost = ~np.isfinite(gaps)  # by so few steps, where so are all, or for ever
@@ -189,16 +194,19 @@ def _without_lost(maps: SampleMaps, samples: Samples, steps: int) -> Samples:
     image: Image = maps.image(maps.of(maps.scheme.reference, steps), samples)
     kept = np.flatnonzero(np.all(np.isfinite(image), axis=0))
     if not len(kept):
-        first = jax.tree.map(lambda leaf: leaf[0], samples)
-        at = maps.flows[int(first.row)], first.states, first.p
-        why = fault_of(*at, first_look(maps, samples).explanation)
-        why = why and f"; at {samples.place(0)} {why}"
-        lost = "does not come back to its section" if maps.sectioned else "has a non-finite state within a period"
-        message = f"every lane of this sweep {lost}{why}"
-        if lost_rank(*at):
-            raise AccuracyError(message)
-        raise LostLaneError(message)
+        raise _no_lane(maps, samples)
     return samples.take_lanes(kept)
+
+
+def _no_lane(maps: SampleMaps, samples: Samples) -> AccuracyError:
+    """The error that no lane has a period, with what is seen of the reason; `LostLaneError` where steps may be it."""
+    first = jax.tree.map(lambda leaf: leaf[0], samples)
+    at = maps.flows[int(first.row)], first.states, first.p
+    why = fault_of(*at, first_look(maps, samples).explanation)
+    why = why and f"; at {samples.place(0)} {why}"
+    lost = "does not come back to its section" if maps.sectioned else "has a non-finite state within a period"
+    message = f"every lane of this sweep {lost}{why}"
+    return AccuracyError(message) if lost_rank(*at) else LostLaneError(message)
 
 
 def _is_escaping(states: State) -> Bool[np.ndarray, "lanes periods"]:
