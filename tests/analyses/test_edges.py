@@ -17,7 +17,7 @@ from jaxnh.systems.flow import STATUS
 from tests.flows.known_maps import henon
 from tests.helpers import heyoka_newton
 
-pytestmark = pytest.mark.usefixtures("one_core")
+pytestmark = pytest.mark.usefixtures("always_one_core")
 
 BOX = {"x": (-1.5, 1.5), "v": (-3.0, 3.0)}
 

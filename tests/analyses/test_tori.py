@@ -11,7 +11,7 @@ import pytest
 import jaxnh
 from jaxnh.exceptions import InputError
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
 
 TURN = 2 * math.pi
 GOLDEN = (math.sqrt(5) - 1) / 2

@@ -14,7 +14,7 @@ from jaxnh.analyses.transients.lifetimes import escape_rate
 from jaxnh.analyses.transients.saddle import saddle_dimension
 from jaxnh.exceptions import InputError
 
-pytestmark = pytest.mark.usefixtures("one_core")
+pytestmark = pytest.mark.usefixtures("always_one_core")
 LEAST = 0.95 - 3 * np.sqrt(0.95 * 0.05 / 100)
 """Of 100 intervals of 95 %, the share that covers at least, but for one case in a thousand."""
 
