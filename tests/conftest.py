@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import dask.config
@@ -59,7 +60,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor  # noqa: E402
 from tests.helpers import kept_programs  # noqa: E402
 from tests.helpers.commands import Command, run_here, run_process  # noqa: E402
 from tests.helpers.kept_calibrations import calibrating_by, once, unless_given  # noqa: E402
-from tests.helpers.kept_programs import PaddedToFew, lanes_with_kept_programs  # noqa: E402
+from tests.helpers.kept_programs import PaddedToFew, hardly_optimised, lanes_with_kept_programs  # noqa: E402
 
 pytest_plugins = ["pytester", "tests.helpers.battery", "tests.helpers.parts"]
 
@@ -97,8 +98,27 @@ def without_emitters(lowered: Lowered, options: Mapping[str, Any] | None = None,
     return _compile(lowered, {**(options or {}), "xla_cpu_use_fusion_emitters": False}, **others)
 
 
+def compile_all_quickly() -> Iterator[None]:
+    """The same for modules whose slow tests are further cases of quick ones, and run for no longer."""
+    with hardly_optimised(), mock.patch.object(Lowered, "compile", without_emitters):
+        yield
+
+
 quick_compiling = pytest.fixture(compile_quickly, scope="module", name="quick_compiling")
+quick_compiling_always = pytest.fixture(compile_all_quickly, scope="module", name="quick_compiling_always")
 quick_compiling_once = pytest.fixture(compile_quickly, name="quick_compiling_once")  # for one test of a module
+
+
+@pytest.fixture
+def quick_programs() -> Iterator[None]:
+    """For one test, slow ones too, that compiles for much longer than it runs: programs are hardly optimised.
+
+    Where what is asserted depends on no bit that optimisation moves: regular motion, words, what is drawn. Few lanes are
+    padded to 32, as these programs take longer for more.
+    """
+    padded = mock.patch.object(kept_programs, "executor_of_tests", PaddedToFew)
+    with hardly_optimised(), padded, mock.patch("jaxnh.engine.session.LaneExecutor", PaddedToFew):
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -74,6 +74,7 @@ def everything(tmp_path_factory):
 
 
 @pytest.mark.slow  # each alone in tests/analyses/test_batch.py, and made by hand below
+@pytest.mark.usefixtures("quick_programs")
 def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     """A run of all that go with one axis: each group names a kind of panel, and is drawn."""
     config = tmp_path / "everything.yaml"

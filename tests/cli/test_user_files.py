@@ -97,7 +97,7 @@ analyses:
 """
 
 
-@pytest.mark.usefixtures("quick_compiling_once")
+@pytest.mark.usefixtures("quick_programs")
 @pytest.mark.parametrize(
     ("forces", "spec", "what"),
     [

@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxnh
+from jaxnh.config.yaml_source import read
 from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import dopri8
 from jaxnh.solvers.runge_kutta import in_loop
@@ -396,13 +397,15 @@ def test_a_pursuit_of_bouguer():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_programs")
 def test_exponents_of_a_pursuit():
     """Those of its target are zero; the pursuer's sum to the mean of -s cos(bearing) / distance, the flow's divergence.
 
     That mean is taken by DOP853 with the target in closed form, over 200 periods after 20, within a few over that time.
     """
     bearings, speed = (0.0, 0.9), 0.6
-    made = jaxnh.load(FOLDER / "pursuit.yaml", [f"sweep={{bearing: {{values: {list(bearings)}}}}}"])
+    sweep = f"sweep={{bearing: {{values: {list(bearings)}}}}}"
+    made = jaxnh.load(FOLDER / "pursuit.yaml", [sweep, "accuracy={solver: verner9, steps: 100}"])
     data = session_of(made).run(jaxnh.Lyapunov(transient=64, periods=128, exponents=6))
     ours, error = data["exponents"].to_numpy(), data["exponents_error"].to_numpy()
     own = np.sqrt(2.618)
@@ -491,9 +494,10 @@ STEPS = {"rattleback": 1600, "celtic_stone": 400, "celtic_chart": 400, "discrete
 
 def small_run(name, folder):
     """The result of a config at the ends of its sweep, few periods of it, by steps that are given."""
-    made = jaxnh.load(FOLDER / f"{name}.yaml")
-    ends = [f"sweep.{axis.name}={{values: [{axis.values[0]}, {axis.values[-1]}]}}" for axis in made.axes]
-    analyses = [f"analyses.{name}={SMALL[name]}" for name, options in made.analyses if options is not None]
+    config = read(FOLDER / f"{name}.yaml").data
+    axes = {key: axis.get("values") or [axis["start"], axis["stop"]] for key, axis in config["sweep"].items()}
+    ends = [f"sweep.{key}={{values: [{values[0]}, {values[-1]}]}}" for key, values in axes.items()]
+    analyses = [f"analyses.{name}={SMALL[name]}" for name, options in config["analyses"].items() if options is not None]
     output = folder / f"{name}.h5"
     done = run_here(
         f"configs/nonholonomic/{name}.yaml",
@@ -537,6 +541,7 @@ ENERGIES = {
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_programs")
 @pytest.mark.parametrize("name", sorted({*SYSTEMS} | ELSEWHERE))
 def test_config_in_small(name, tmp_path):
     """No lane fails, none leaves its constraint by more than steps of order nine do, and energies stay."""

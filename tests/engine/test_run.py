@@ -85,7 +85,7 @@ def test_one_core(job, whole):
 
 @pytest.mark.slow
 def test_four_parts_at_once(job, whole):
-    """On one folder: two processes, and two parts here meanwhile; then the join."""
+    """On one folder: two processes, and two parts here meanwhile; then the join, to the bits of one large tile."""
     processes = {k: job.start("--part", f"{k}/4") for k in (1, 3)}
     for k in (2, 4):
         code, out, err = job.run_here("--part", f"{k}/4")
@@ -306,25 +306,6 @@ def test_killed_then_resumed(job, whole):
     (job.tiles / ".000011.h5.xyz.part").write_text("half a tile of a process that was killed")
     _, err = finish(job, whole)
     assert f"{kept} of {TILES} tiles are done; going on" in err
-
-
-@pytest.mark.slow
-def test_angles_of_vectors_and_of_turns_are_resumed(tmp_path):
-    """`covariant` and `rotation`: killed after the first of three tiles, and gone on with to the bits of one run."""
-    text = "  covariant: {transient: 8, strobes: 256}\n  rotation: {transient: 8, periods: 128}\n"
-    job = Job(tmp_path, CONFIG.split("  diagram")[0].replace("3000", "96") + text, 32)
-    assert job.run_here()[0] == 0
-    undisturbed = content(job.output)
-    job.output.unlink()
-    process = job.start(environment=slow_tiles(job))
-    job.until(process, 1)
-    process.kill()
-    process.communicate()
-    kept = len(job.done())
-    code, _, err = job.run_here()
-    assert code == 0
-    assert f"{kept} of 3 tiles are done; going on" in err
-    assert content(job.output) == undisturbed
 
 
 @pytest.mark.slow
@@ -704,24 +685,7 @@ def session(number):
     return found
 
 
-# ---- large ones
-
-
-@pytest.mark.slow
-def test_hundred_thousand_lanes_by_two_processes(tmp_path):
-    """As parts of one folder: the same as in one process, bit for bit."""
-    config = CONFIG.replace("count: 3000", "count: 100000").replace("n_starts: 2", "n_starts: 1").split("  chaos01")[0]
-    one, two = tmp_path / "one", tmp_path / "two"
-    one.mkdir()
-    two.mkdir()
-    alone, parts = Job(one, config, tile=None), Job(two, config, tile=4096)
-    processes = [parts.start("--part", f"{k}/2", environment={"JAX_NUM_CPU_DEVICES": "1"}) for k in (1, 2)]
-    for process in processes:
-        _, err = process.communicate(timeout=600)
-        assert process.returncode == 0, err
-    assert parts.run_here("--merge")[0] == 0
-    assert alone.run_here()[0] == 0
-    assert content(alone.output) == content(parts.output)
+# ---- a large one
 
 
 @pytest.mark.slow

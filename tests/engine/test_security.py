@@ -11,12 +11,15 @@ import subprocess
 import sys
 import time
 
+import dask
+import distributed  # noqa: F401  # Dask has its settings from here on
 import psutil
 import pytest
 
 from jaxnh.engine import dask_workers
 from jaxnh.exceptions import ArgumentError
 from jaxnh.storage import hdf5 as store
+from tests.helpers.commands import run_here
 from tests.helpers.paths import ROOT
 
 CONFIG = """\
@@ -25,7 +28,6 @@ sweep: {b: {start: 5.2, stop: 5.45, count: 512}}
 accuracy: {solver: blanes_moan6, steps: 40}
 analyses: {poincare: {transient: 8, strobes: 4}}
 """
-TLS = "DASK_DISTRIBUTED__COMM__TLS__"
 
 
 def addresses(info):
@@ -77,8 +79,6 @@ def test_our_own_cluster_is_on_loopback():
 )
 def test_what_is_not_secured_is_said(address, settings, words):
     """TLS without certificates, and an open address where Dask is told to encrypt: one line each, at once."""
-    import dask
-
     with dask.config.set(settings), pytest.raises(ArgumentError, match=f"(?i){words}"), dask_workers.cluster(address):
         pass
 
@@ -104,14 +104,22 @@ def certificate(tmp_path):
 
 
 def settings_of(pair, authority):
-    """Dask's settings of one pair, as variables of the environment."""
-    key, cert = pair
+    """Dask's settings of one pair."""
+    key, cert = map(str, pair)
     roles = {
-        f"{TLS}{role}__{what}": str(path)
-        for role in ("SCHEDULER", "WORKER", "CLIENT")
-        for what, path in (("KEY", key), ("CERT", cert))
+        f"{role}.{what}": path
+        for role in ("scheduler", "worker", "client")
+        for what, path in (("key", key), ("cert", cert))
     }
-    return {f"{TLS}CA_FILE": str(authority), **roles, "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "True"}
+    return {
+        "distributed.comm.require-encryption": True,
+        **{f"distributed.comm.tls.{name}": path for name, path in {"ca-file": str(authority), **roles}.items()},
+    }
+
+
+def variables(settings):
+    """The same as variables of the environment."""
+    return {f"DASK_{name}".upper().replace(".", "__").replace("-", "_"): str(value) for name, value in settings.items()}
 
 
 @pytest.mark.slow
@@ -120,9 +128,7 @@ def test_run_over_tls(certificate, tmp_path):
     (tmp_path / "job.yaml").write_text(CONFIG)
     quiet = {"DASK_LOGGING__DISTRIBUTED": "critical", "PYTHONPATH": str(ROOT)}
     ours, theirs = certificate["ours"], certificate["theirs"]
-    inside = {**os.environ, **quiet, **settings_of(ours, ours[1])}
-    outside = {**inside, **settings_of(theirs, ours[1])}
-    bare = {**os.environ, **quiet}
+    inside = {**os.environ, **quiet, **variables(settings_of(ours, ours[1]))}
     place = tmp_path / "scheduler.json"
     silent = {"env": inside, "cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     module, common = [sys.executable, "-m"], ["--no-dashboard", "--scheduler-file", str(place)]
@@ -130,11 +136,8 @@ def test_run_over_tls(certificate, tmp_path):
     worker = [*module, "distributed.cli.dask_worker", "--nthreads", "1", "--death-timeout", "120", "--no-nanny"]
     processes = [subprocess.Popen([*scheduler, *common], **silent)]
 
-    def run(environment, output, *arguments):
-        command = [*module, "jaxnh.sweep", "job.yaml", "--output", output, "--quiet", *arguments]
-        return subprocess.run(
-            command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False
-        )
+    def command(output, *arguments):
+        return ["job.yaml", "--output", output, "--quiet", "--tile", "256", *arguments]
 
     try:
         while not place.exists():
@@ -143,10 +146,12 @@ def test_run_over_tls(certificate, tmp_path):
         processes.append(subprocess.Popen([*worker, *common, "--local-directory", str(tmp_path / "space")], **silent))
         address = json.loads(place.read_text())["address"]
         assert address.startswith("tls://127.0.0.1:")
-        done = run(inside, "tls.h5", "--tile", "256", "--dask", address)
+        by_workers = [*module, "jaxnh.sweep", *command("tls.h5", "--dask", address)]
+        done = subprocess.run(by_workers, env=inside, cwd=tmp_path, capture_output=True, text=True, timeout=600)
         assert done.returncode == 0, done.stderr
-        for environment in (outside, bare):
-            refused = run(environment, "refused.h5", "--tile", "256", "--dask", address)
+        for settings in (settings_of(theirs, ours[1]), {}):
+            with dask.config.set(settings):
+                refused = run_here(*command("refused.h5", "--dask", address), cwd=tmp_path)
             assert refused.returncode == 2, refused.stderr
             assert refused.stderr.splitlines()[-1].startswith(
                 f"command line: --dask: no scheduler answers at {address}"
@@ -156,6 +161,6 @@ def test_run_over_tls(certificate, tmp_path):
         for process in processes[::-1]:
             process.kill()
             process.wait()
-    assert run(bare, "here.h5", "--tile", "256").returncode == 0
+    assert run_here(*command("here.h5"), cwd=tmp_path).returncode == 0
     one, other = (store.read_group(tmp_path / f"{name}.h5", "poincare")["x1"] for name in ("tls", "here"))
     assert one.values.tobytes() == other.values.tobytes()

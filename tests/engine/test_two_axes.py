@@ -15,7 +15,7 @@ from jaxnh.engine.plan import clock_of
 from jaxnh.engine.session import Session
 from tests.flows.double_well import DOUBLE_WELL
 from tests.helpers.cases import some_slow
-from tests.helpers.commands import run_by_two_workers, run_here
+from tests.helpers.commands import run_here
 from tests.helpers.comparisons import same_attrs, same_tree
 from tests.helpers.experiments import content
 from tests.helpers.kept_programs import session_of
@@ -205,10 +205,10 @@ def whole(experiment):
     return session_of(experiment).tree()
 
 
-def same_file(path, whole, but_for=()):
+def same_file(path, whole):
     """A file has what is in memory."""
     with jaxnh.open_result(path) as tree:
-        same_tree(tree, whole, but_for=but_for)
+        same_tree(tree, whole)
 
 
 def command(folder, *arguments):
@@ -231,6 +231,7 @@ def test_tiles(tmp_path, whole):
 
 
 def test_parts_and_merge(tmp_path, whole):
+    """One part after the other; `test_level_files` has two axes on workers of Dask."""
     for k in (1, 2):
         done = command(tmp_path, "--part", f"{k}/2")
         assert done.stdout.startswith(f"part {k}/2: ")
@@ -256,10 +257,3 @@ def test_stopped_and_resumed(tmp_path, experiment, whole):
     jaxnh.run(experiment, path, tile=4)
     assert not tiles.exists()
     same_file(path, whole)
-
-
-@pytest.mark.slow
-def test_two_workers(tmp_path, experiment, whole):
-    """Of a local Dask cluster, each on one core."""
-    result = run_by_two_workers(experiment.text, tmp_path, 4)
-    same_file(result, whole, ("error_estimate", "sizes_of_motion"))  # which a process of its own has measured

@@ -569,8 +569,9 @@ def test_a_loop_in_an_edited_file_is_said_at_its_line_and_the_server_goes_on(tab
         page = tab(address)
         whole(page, f"{COLUMNS} values, 8 strobes after 64 periods")
         page.get_by_role("button", name="Edit the files").click()
+        endless = 'while not __import__("time").sleep(0.1):'  # without work: the other page has the processor
         page.locator("textarea").nth(1).fill(
-            MAP.replace("        x, z, w = y", "        while y:\n            x, z, w = y")
+            MAP.replace("        x, z, w = y", f"        {endless}\n            x, z, w = y")
         )
         page.get_by_role("button", name="Check and run").click()
         page.get_by_text("checking…").wait_for()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -39,6 +40,17 @@ class PaddedToFew(LaneExecutor):
 
 executor_of_tests: type[LaneExecutor] = LaneExecutor
 """Of sessions and commands: in quick runs `PaddedToFew`, which `conftest` puts here; slow tests have lanes as users do."""
+
+
+@contextlib.contextmanager
+def hardly_optimised() -> Iterator[None]:
+    """Programs that are compiled meanwhile are compiled in a quarter of the time: for what runs for less time than that."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
 
 
 def lanes_with_kept_programs(

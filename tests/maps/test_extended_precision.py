@@ -149,6 +149,7 @@ def test_unknown_operations_are_named():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_programs")
 def test_map_of_the_particle():
     """The same map as in float64, to its rounding; the vector is its derivative, by points 2e-12 apart.
 

@@ -32,7 +32,7 @@ from tests.helpers.convergence import check_derivatives
 from tests.helpers.diffrax_solvers import ProjectedSolver
 from tests.helpers.measurement import UNIT, apart
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
+pytestmark = pytest.mark.usefixtures("quick_compiling_always")
 
 PARAMETERS = {"a": 0.5, "b": 5.2, "c": 1.0, "d": 0.1, "omega": 1.0}
 MOTION = Motion((0.1, 0.1), (0.1, math.sqrt(0.99)), (0.0, 0.0))

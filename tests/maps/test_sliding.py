@@ -182,6 +182,7 @@ def test_amplitude_without_stops():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_programs")
 def test_exponents_of_dry_friction():
     """With stops one is the logarithm of the multiplier of the closed form's orbit, the other −∞; stuck, 0 and −∞."""
     session = jaxnh.Session(dry, start={"x": 0.2, "v": 0.4}, target=1e-9)
@@ -372,6 +373,7 @@ def test_impulses_become_a_force():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_programs")
 def test_exponents_of_a_ball_at_rest():
     """All vanish on a table that releases the ball again once a period; other balls, on a table that does not, too."""
     session = jaxnh.Session(table, start={"h": 1.01}, target=1e-8, parameters={"a": 0.2})

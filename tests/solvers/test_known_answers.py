@@ -19,7 +19,7 @@ from tests.flows import (
     sleigh,
 )
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
+pytestmark = pytest.mark.usefixtures("quick_compiling_always")
 
 FLOWS = {
     "linear oscillator": linear_oscillator.known_flow,
