@@ -2,7 +2,8 @@
 
 A test there measures at small sizes in `make test` or, where these take long too, `make slow`, and at full ones with
 `--hard`. Each number goes through `Battery.row`, which keeps it and asserts its limit, so that page and test cannot
-differ. All cases together take an hour: some alone are measured anew by `--case`, and the page keeps those of the others.
+differ. All cases together take three hours of a core: some are measured anew by `--case` or by name, and the page keeps
+those of the others.
 """
 
 from __future__ import annotations
@@ -166,18 +167,18 @@ Written by `make hard`: the cases that break programs of this kind, each with th
 limit that it has to keep, and the command that measures it alone. `make test` runs them at smaller sizes, some
 with fewer scenes (docs/accuracy.md). A scene that is refused, with the reason that the user gets, shows no number and is
 no pass. References: Taylor integration in long double (`tests/helpers/taylor.py`), exact identities, and second methods.
-`make hard CASE="{case}"` measures one case anew and keeps the others: each says which code it is of.
+`make hard CASE="{case}"` measures one case anew and keeps the others: each test says which code it is of.
 
 """
 
 
 def page(tests, measured_at, before=""):
-    """The page in Markdown: a section a case, in the order of CASES; of cases without tests those of the page before."""
-    sections = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", before, flags=re.MULTILINE | re.DOTALL))
+    """The page in Markdown: a section a case, in the order of CASES, in it a table a test; of others those of before."""
+    sections = dict(_split(before, "##"))
     for case in CASES:
         of_case = [test for test in tests if case in test.cases]
         if of_case:
-            sections[case] = _section(sorted(of_case, key=lambda test: test.node), case, measured_at)
+            sections[case] = _section(of_case, measured_at, sections.get(case, ""))
     text = "".join(f"\n## {case}\n\n{sections[case].strip()}\n" for case in CASES if case in sections)
     rows = [re.split(r"(?<!\\)\|", line)[-2] for line in text.splitlines() if line.startswith("| ")]
     verdicts = [cell.strip().split(":")[0] for cell in rows]
@@ -190,18 +191,42 @@ def page(tests, measured_at, before=""):
     return _HEAD.format(case=CASES[0]) + total + missing + "".join(lost) + text
 
 
-def _section(tests, case, measured_at):
-    """What the tests of a case have kept."""
-    kept = [(name, item, test.node) for test in tests for name, item in test.kept]
-    rows = [(item, node) for name, item, node in kept if name == "hard row"]
-    lines = [f"{measured_at} {sum(test.seconds for test in tests):.0f} s of tests.", ""]
+def _split(text, level):
+    """Headings of a level and what stands below each."""
+    return re.findall(rf"^{level} (.+?)\n(.*?)(?=^{level} |\Z)", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def _section(tests, measured_at, before):
+    """What the tests of a case have kept, each below its name; of its other tests what the section had before.
+
+    A section of before that has no names of tests stands at the head until all the tests of its commands are anew.
+    """
+    blocks = dict(_split(before, "###"))
+    for function in sorted({_function(test) for test in tests}):
+        of_function = sorted((test for test in tests if _function(test) == function), key=lambda test: test.node)
+        blocks[function] = _block(of_function, measured_at)
+    unnamed = re.split(r"^### ", before, maxsplit=1, flags=re.MULTILINE)[0].strip()
+    if set(re.findall(r"^`\S+ --hard \S+::(\w+)`$", unnamed, flags=re.MULTILINE)) <= set(blocks):
+        unnamed = ""
+    named = [f"### {function}\n\n{block.strip()}" for function, block in blocks.items()]
+    return "\n\n".join(part for part in (unnamed, *named) if part)
+
+
+def _function(test):
+    return test.node.split("::")[-1].split("[")[0]
+
+
+def _block(tests, measured_at):
+    """What a test has kept, or its cases."""
+    kept = [(name, item) for test in tests for name, item in test.kept]
+    rows = [item for name, item in kept if name == "hard row"]
+    lines = [f"{measured_at} {sum(test.seconds for test in tests):.0f} s.", ""]
     lines += [f"- {FAILED}: `{test.node}`: {test.failed}" for test in tests if test.failed]
     if rows:
         lines += ["", "| what is shown | measured | limit | |", "|---|---|---|---|"]
-        lines += [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in item[1:])} |" for item, _ in rows]
-    for node in dict.fromkeys(node.split("[")[0] for _, node in rows):
-        lines += ["", f"`.venv/bin/pytest --hard {node}`"]
-    for name, item, _ in kept:
+        lines += [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in item[1:])} |" for item in rows]
+    lines += ["", f"`.venv/bin/pytest --hard {tests[0].node.split('[')[0]}`"]
+    for name, item in kept:
         if name in ("hard note", "hard picture"):
             lines += ["", item[1]]
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines))

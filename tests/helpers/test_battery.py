@@ -34,6 +34,21 @@ def test_cases_are_kept_and_measured_anew():
     assert f"Not measured: {', '.join(CASES[2:])}." in second
 
 
+def test_other_tests_of_a_case_are_kept():
+    """One test of a case measured anew; a section without names of tests stands until all of its tests are anew."""
+    first = page([ran(CASES[0], f"test_file.py::test_{letter}") for letter in "ab"], FIRST)
+    second = page([ran(CASES[0], "test_file.py::test_b[1]"), ran(CASES[0], "test_file.py::test_b[2]")], SECOND, first)
+    assert "3 rows held, 3 refused, 0 failed; 0 tests failed." in second
+    assert stamps_of(second) == [FIRST, SECOND]
+    assert second.index("### test_a") < second.index("### test_b") < second.index(str(SECOND))
+    unnamed = first.replace("### test_a\n\n", "").replace("### test_b\n\n", "")
+    half = page([ran(CASES[0], "test_file.py::test_a")], SECOND, unnamed)
+    assert half.count("a word of test_file.py::test_a") == 2
+    whole = page([ran(CASES[0], "test_file.py::test_b")], SECOND, half)
+    assert stamps_of(whole) == [SECOND]
+    assert "2 rows held, 2 refused, 0 failed" in whole
+
+
 def test_failures_that_belong_to_no_case():
     """A test that fails before it says of which case it is stands at the head."""
     found = page([Measured("tests/hard/test_c", 0.1, [], "no such fixture")], FIRST)
