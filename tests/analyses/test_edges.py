@@ -360,6 +360,18 @@ def test_status_of_lanes_by_where_starts_lead():
     assert [words[status_of(np.array(of))] for of in labels] == expected
 
 
+def test_no_start_has_come_to_an_attractor():
+    """Motions come to ±1 by e^(−2a) an iterate, in the second lane by e^(−1.3) in all: no attractor of it is known."""
+
+    def wells(a=0.05):
+        return {"map": lambda y: (y[0] + a * (y[0] - y[0] ** 3),), "coordinates": ("x",)}
+
+    options = jaxnh.Edges(box={"x": (-1.0, 1.0)}, n_starts=4, transient=32, max_periods=64)
+    data = jaxnh.Session(wells, start={"x": 0.3}).run(options, a=[0.05, 0.01])
+    assert jaxnh.labels(data["status"]).to_numpy().tolist() == ["ok", "no attractor"]
+    assert data["attractors"].values.tolist() == [2, 0]
+
+
 @pytest.mark.slow
 def test_attractors_that_are_not_known_beside_motions_that_escape():
     """Two of five starts go to infinity at a = 0.6, and the others to a cycle of 30, which is longer than is looked for.

@@ -97,7 +97,7 @@ def lane_attractors(
         own = np.arange(first, first + starts)
         part = select(records, own)
         classified = find_attractors(many.take(own), lanes, part, np.zeros(starts, int), max_period, most)
-        if classified.attractors is None:
+        if classified.attractors is None or np.all(classified.number < 0):
             labels, attractors = np.full(starts, UNDECIDED), None
         else:
             hits = np.bincount(classified.number[classified.number >= 0], minlength=len(classified.point))
