@@ -310,16 +310,20 @@ def test_killed_then_resumed(job, whole):
 
 @pytest.mark.slow
 def test_killed_at_random_moments(job, whole):
-    """Twenty kills from the start of a process to the end of the whole run; whenever one ends first, it begins anew."""
+    """Twenty kills from the start of a process to the end of the whole run; whenever one ends first, it begins anew.
+
+    Tiles take a fifth of a second each, so that they are some third of the run: else most kills come before the first.
+    """
+    slowly = slow_tiles(job, 0.2)
     assert job.run()[0] == 0  # programs are in the cache from here on
     job.output.unlink()
     began = time.perf_counter()
-    assert job.run()[0] == 0
+    assert job.run(environment=slowly)[0] == 0
     longest = time.perf_counter() - began
     job.output.unlink()
     moments, killed, resumed = random.Random(1), 0, 0
     while killed < 20:
-        process = job.start()
+        process = job.start(environment=slowly)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(timeout=moments.uniform(0.0, longest))
         process.kill()

@@ -86,18 +86,18 @@ replace, tiles = pathlib.Path.replace, itertools.count()
 
 def later(self, target):
     if pathlib.Path(target).name.startswith("0") and next(tiles):  # the first is there at once
-        time.sleep(60)
+        time.sleep(SECONDS)
     return replace(self, target)
 
 pathlib.Path.replace = later
 """
 
 
-def slow_tiles(job):
-    """The environment of a process in which all tiles but the first take long, so that it can be stopped among them."""
+def slow_tiles(job, seconds=60.0):
+    """The environment of a process in which all tiles but the first take so long, so that it can be stopped among them."""
     folder = job.folder.parent / f"{job.folder.name}-slowly"
     folder.mkdir()
-    (folder / "sitecustomize.py").write_text(SLOW_TILES)
+    (folder / "sitecustomize.py").write_text(SLOW_TILES.replace("SECONDS", str(seconds)))
     return {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
 
 
