@@ -159,7 +159,8 @@ check_tests: $(INSTALLED) browser
 slow: $(INSTALLED)
 	$(RUN)/pytest --numprocesses 2 --dist worksteal -m slow $(if $(PART),--part $(PART),--keep-seconds)
 
-# The hard cases at full size, three hours of one core, or of one CASE, or the k-th of n parts by PART=k/n; writes results/hard.md and its pictures.
+# The hard cases at full size, three hours of one core, or of one CASE, or the k-th of n parts by PART=k/n; writes
+# results/hard.md and its pictures.
 hard: $(INSTALLED)
 	$(RUN)/pytest --numprocesses 2 --dist worksteal -m "" --hard --page results/hard.md $(if $(CASE),--case '$(CASE)') $(if $(PART),--part $(PART)) tests/hard
 

@@ -117,11 +117,11 @@ def _by_leaves(
         return np.asarray(lanes(section_map, (strobe, np.int32(1)), (u, select(p, lane)), tile=_TILE))
 
     moving, points, lane, size = (values[asked] for values in of_lanes)
-    found = leaf_distances(period, image, batch.chart, moving, points, lane, size, wanted)
+    of_leaves = leaf_distances(period, image, batch.chart, moving, points, lane, size, wanted)
     distance, place, near = places.distance.copy(), places.place.copy(), places.near.copy()
-    distance[open_] = np.minimum(distance[open_], found)
-    place[open_] = np.where(found <= wanted, PLACES.index("inside"), PLACES.index("undecided"))
-    near[open_[found <= wanted]] = True
+    distance[open_] = np.minimum(distance[open_], of_leaves)
+    place[open_] = np.where(of_leaves <= wanted, PLACES.index("inside"), PLACES.index("undecided"))
+    near[open_[of_leaves <= wanted]] = True
     return Places(distance, place, near)
 
 
