@@ -48,6 +48,7 @@ def twins():
 # ---- lanes with two parameters
 
 
+@pytest.mark.slow  # the matrix has two axes
 def test_a_parameter_of_the_lanes_is_one_of_the_flow(lanes, twins):
     """Strobe points and periods are the same where a comes from the lane, to the rounding of a chaotic few."""
     maps = [poincare.run(poincare.PoincareOptions(transient=4, strobes=4), scene, lanes) for scene in twins]

@@ -73,6 +73,7 @@ def test_pitchfork_from_lanes_that_have_settled(tmp_path):
     assert max(root) == pytest.approx(np.sqrt(0.7), abs=1e-9)
 
 
+@pytest.mark.slow  # the matrix has branches on sections
 def test_lanes_that_have_come_to_rest_are_on_no_branch(tmp_path):
     """Below the Hopf bifurcation of r′ = μr − r³ lanes come back to a section through the equilibrium, ever nearer to it."""
     (tmp_path / "hopf.py").write_text(
@@ -177,6 +178,7 @@ def coupled_oscillators(square=0.45, coupling=0.3):
     return {"T": T, "Q": Q, "coordinates": ("x", "y"), "integrals": integrals}
 
 
+@pytest.mark.slow  # levels of mechanics, and branches, are quick apart
 def test_a_branch_over_a_level():
     """The orbit x = √(2E) sin t, y = 0 over its energy; the trace of its multipliers is that of Mathieu's equation.
 

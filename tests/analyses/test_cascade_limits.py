@@ -128,7 +128,8 @@ def checked(name, miss, bar, *, most):
     assert share <= most, f"{name}: {share:.3f} of {len(miss)} intervals miss"
 
 
-@pytest.mark.parametrize("noise", [pytest.param(1e-15, marks=pytest.mark.slow), 1e-11])
+@pytest.mark.slow  # intervals of widths are quick
+@pytest.mark.parametrize("noise", [1e-15, 1e-11])
 def test_intervals_of_doublings_cover(cascades, noise):
     """Of δ and of b∞, at 95 in 100 ends of cascades: from the first, second and third doubling on, four levels or more."""
     rng = np.random.default_rng(1)

@@ -119,6 +119,7 @@ def test_amplitudes_of_hopfs_normal_form(tmp_path):
     assert "warnings" not in data.attrs
 
 
+@pytest.mark.slow  # the bars of such curves are quick
 def test_amplitude_of_an_observable(tmp_path):
     """exp(x) is between exp(−r) and exp(r) along the circle of radius r = √(μ/ν): its amplitude is 2 sinh r."""
     data = data_of(

@@ -219,6 +219,7 @@ def test_fewer_doublings_than_asked_for(result):
     assert "nan" not in out
 
 
+@pytest.mark.slow  # doublings within it are quick
 def test_doublings_beyond_the_sweep(result):
     """The same sweep where looking beyond it is allowed, as it is by default: all three, and it says where they are."""
     overrides = (*SMALL, "sweep.b={start: 5.6, stop: 5.4935, count: 64}")

@@ -201,6 +201,7 @@ def first_escape(base, angle, unit, a, b):
     return np.where(found.any(axis=0), high, 2.0)
 
 
+@pytest.mark.slow  # two wells of a map are quick
 @pytest.mark.usefixtures("quick_compiling_once")
 def test_the_basin_of_henons_attractor():
     """Its boundary is the stable manifold of the other fixed point; where this is out of reach, there is one alone."""

@@ -173,6 +173,7 @@ def from_cycles_alone(*arguments):
         return result_of(*arguments)["homoclinic"].to_dataset()
 
 
+@pytest.mark.slow  # fronts are quick
 @pytest.mark.usefixtures("uncalibrated", "quick_compiling_once")
 def test_a_planar_loop_from_its_cycles(tmp_path):
     """mt = 0 at every a, within the errors, from cycles that a Hopf bifurcation begins; the saddle quantity is 2a."""

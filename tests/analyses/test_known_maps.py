@@ -77,6 +77,7 @@ def test_exponents_near_and_at_superstable_orbits():
     assert error[2:].max() < 1e-10
 
 
+@pytest.mark.slow  # doublings and windows of maps are quick
 def test_exactly_superstable_orbits():
     """The cycles 0 and 0, −1 of c + x²: a derivative that is zero to the bit."""
     config = "initial: {x: 0.1}\nsweep: {c: {values: [0.0, -1.0]}}\nanalyses: {verdict: {}, basins: {}}"
@@ -233,6 +234,7 @@ def system(k=2.0):
     assert groups["attractors"]["x"].to_numpy() == pytest.approx([-root, root], abs=TO_ROUNDING)
 
 
+@pytest.mark.slow  # the matrix has basins of maps
 def test_basin_of_henon():
     """The starts that escape are those that escape in NumPy, and all others lead to the one attractor."""
     axis = np.linspace(-2.0, 2.0, 41)

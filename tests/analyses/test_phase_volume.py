@@ -43,6 +43,7 @@ def verdicts(config, text=None):
     return *(jaxnh.labels(data[name]).to_numpy().ravel().tolist() for name in ("kind", "phase_volume")), groups
 
 
+@pytest.mark.slow  # the matrix has verdicts of maps
 def test_maps_that_keep_area_and_one_that_does_not():
     """The standard map far below its chaos and far in it: a torus and chaos, both of determinant one."""
     config = "system: {file: m.py}\ninitial: {angle: 1.0, momentum: 0.5}\nsweep: {k: {values: [0.2, 10.0]}}\n"

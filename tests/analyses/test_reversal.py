@@ -190,6 +190,7 @@ def test_on_a_section_of_henon_and_heiles():
     assert abs(float(data["exponent_sum"][1]) + 0.1) <= float(data["exponent_sum_error"][1])
 
 
+@pytest.mark.slow  # the matrix has reversals of quasi-velocities
 def test_quasi_velocities_have_signs_of_their_own():
     """A needle in a field that shakes, its angle by cosine and sine: w -> -w, t -> -t, but for friction."""
     config = (
@@ -297,6 +298,7 @@ def hill(drive, at):
     )
 
 
+@pytest.mark.slow  # orbits are quick in `test_orbits`
 def test_symmetric_orbits_of_the_driven_pendulum():
     """At rest below and above multipliers are those of Hill's equation; all come in pairs, within what steps leave."""
     session = jaxnh.Session(pendulum, start={"q": 0.3, "q_dot": 0.4}, target=1e-9)
@@ -493,6 +495,7 @@ def compare(points, images):
     return compare_sets(batch, lanes, points, images, np.full(len(points), 1e-9))
 
 
+@pytest.mark.slow  # two points are quick
 def test_sets_whose_overlap_is_known():
     """Of squares that are shifted by half of them half the points overlap; of equal ones all, of distant ones none."""
     draws = np.random.default_rng(0)

@@ -51,6 +51,7 @@ def test_nothing_more_where_it_is_not_asked_for(user_map):
     assert not any("sensitivity" in name or name == "parameter" for name in plain.run("doubling").variables)
 
 
+@pytest.mark.slow  # derivatives in other parameters are quick
 def test_no_derivative_where_the_clock_has_none():
     """Two frequencies of no common period: the disturbed speed at another ω has no map."""
     accuracy = "accuracy={solver: blanes_moan6, steps: 60}"

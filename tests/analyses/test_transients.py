@@ -310,6 +310,7 @@ def test_dimensions_from_exponents(rate, exponents, exact):
     assert saddle_dimension(np.array([rate]), np.array([exponents])) == pytest.approx(exact, abs=1e-14)
 
 
+@pytest.mark.slow  # the matrix has transients of flows
 def test_a_flow_with_a_saddle():
     """κ = λ = rate, so that D = 0; followed for 16 periods, when one motion in 120 is left: its lifetime is censored."""
     options = jaxnh.Transients(

@@ -217,6 +217,7 @@ def test_wrong_levels(tmp_path, sweep, more, message):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.slow  # starts on a level are quick
 @pytest.mark.usefixtures("quick_compiling_once")
 def test_steps_stay_on_a_level(lanes):
     """Long steps of low order leave it by 1e-3 and more, but for the projection; of it two steps of Newton leave rounding."""

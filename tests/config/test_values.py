@@ -26,6 +26,7 @@ def test_an_axis_takes_the_place_of_a_value():
     assert CONTENT["initial"] == {"x": 1.0, "level": {"energy": 2.0}}  # what was given stays
 
 
+@pytest.mark.slow  # starts on a level are quick
 @pytest.mark.usefixtures("quick_compiling_once")
 def test_a_level_that_becomes_an_axis_and_back():
     """As sessions and the explorer do it: the energy of a top over one of its parameters, and of a plane at one energy."""

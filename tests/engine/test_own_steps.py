@@ -91,6 +91,7 @@ def test_lanes_that_common_steps_lose_are_no_lanes_that_escape(lanes):
     assert abs(float(later.t - crossing.t) / exact - 1.0) < plan.error_estimate
 
 
+@pytest.mark.slow  # the matrix has steps of a lane's own
 def test_fast_lanes_that_coarse_steps_lose_are_in_the_calibration(lanes):
     """Van der Pol's oscillator, and a hundred times as fast: it returns to its section in a hundredth of the time."""
 

@@ -119,6 +119,7 @@ def test_period_of_the_oregonator():
     assert abs(float(later.t - crossing.t) - 302.858044) < 1e-5
 
 
+@pytest.mark.slow  # a stiff flow beside Radau is quick
 def test_robertson_against_published_values():
     """At t = 40 and 4e5 of Robertson's kinetics: the table of LSODE's demonstration, and Radau to more digits."""
     known = {

@@ -56,6 +56,7 @@ def test_arithmetic():
         assert abs(total_of(found[1], i) - b) < 8 * 10 * 2.2 * UNIT
 
 
+@pytest.mark.slow  # elementary functions are quick
 def test_angles():
     """Sine and cosine by their series in decimals, and the angle back: four doublings of errors of few units."""
     angle = np.append(np.random.default_rng(1).uniform(-np.pi, np.pi, 40), [1e-9, 3.14159, -1.5708])

@@ -16,6 +16,7 @@ from jaxnh.solvers import dopri8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from tests.helpers.cases import some_slow
 from tests.helpers.one_lane import state_after, states_after
 
 pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
@@ -60,7 +61,7 @@ def stick_slip(mu=1.0, c=0.3, u=0.5):
     return duration, (mu - caught) / u, caught
 
 
-@pytest.mark.parametrize("solver", [dopri8, in_loop(tsit5)], ids=["written out", "loop"])
+@pytest.mark.parametrize("solver", some_slow({"written out": dopri8, "loop": in_loop(tsit5)}, "written out"))
 def test_stick_slip(solver):
     """A cycle from its release on: in its slip, when it is caught, in its stick, and in the next ones of both.
 
@@ -78,6 +79,7 @@ def test_stick_slip(solver):
     assert np.abs(elsewhere[0] - elsewhere[1]).max() < 1e-10
 
 
+@pytest.mark.slow  # tangents at a sliding equilibrium are quick
 def test_exponents_of_stick_slip():
     """Zero along the cycle, and all that is across it vanishes where the block is caught."""
     session = jaxnh.Session(belt, start={"x": 1.2, "v": 0.1}, target=1e-8)

@@ -54,6 +54,7 @@ def lorenz_by_shooting(sigma, near):
     return connections.located(side, near - 1e-5, near + 1e-5, 22)
 
 
+@pytest.mark.slow  # connections in closed form are quick
 def test_lorenz_over_two_parameters():
     """ρ = 13.926557407520 at σ = 10, and the ends of the curve by bisection; the saddle's eigenvalues in closed form."""
     problem, begun, curve = lorenz_curve()
@@ -161,7 +162,8 @@ def test_flips_in_closed_form(name, drive, exact, sign):
     assert point.error.max() < 1e-6
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(12, marks=pytest.mark.slow)])
+@pytest.mark.slow  # fronts and flips in closed form are quick
+@pytest.mark.parametrize("count", [1, 12])
 def test_errors_cover_closed_forms(count):
     """Of Sandstede's loops at random parameters, and of their neutral saddles; and none is hundreds of times too large."""
     rng, rows, special = np.random.default_rng(5), [], []

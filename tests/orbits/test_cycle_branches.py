@@ -58,6 +58,7 @@ def canards(n, points):
     return follow_cycles(problem, begun, np.zeros(2), (0.95, 1.01), StepControl(0.05, points))
 
 
+@pytest.mark.slow  # branches by collocation are quick
 def test_canards_grow_at_one_value_of_the_parameter():
     """Up to half of the largest amplitude, at the series' value; multipliers beyond the digits of double precision."""
     branch = canards(120, 80)

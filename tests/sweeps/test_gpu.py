@@ -11,6 +11,7 @@ from sweeps.timing import gpu
 TINY = gpu.SMALL._replace(lanes=(8,), spectra=8, orbits=8, charts=(4,), levels=(5, 2), basins=4)
 
 
+@pytest.mark.slow  # `test_programs_of_analyses` has kernels of Newton's steps
 def test_newton_and_the_page():
     *_, (name, content) = gpu.scenes_of(TINY)
     scene = gpu.measured_scene(name, content)

@@ -84,6 +84,7 @@ def test_runs_go_on(study, tmp_path):
         reference_flows.main(["Rössler"])
 
 
+@pytest.mark.slow  # runs that go on are quick
 def test_what_does_not_end_has_a_short_run(study, tmp_path, monkeypatch):
     late, begun = Answer(124, 9.0, "no answer in 9 s"), reference_flows.run
     monkeypatch.setattr(reference_flows, "run", lambda *a: late if "periods: 256" in a[0].read_text() else begun(*a))
@@ -95,6 +96,7 @@ def test_what_does_not_end_has_a_short_run(study, tmp_path, monkeypatch):
     assert "no answer in 9 s" in (tmp_path / "page.md").read_text()
 
 
+@pytest.mark.slow  # runs that go on are quick
 def test_longer_runs_say_what_bars_cover(study, tmp_path):
     reference_flows.main(["Swing", "--longer", "1"])
     assert study == ["Swing", LONGER]

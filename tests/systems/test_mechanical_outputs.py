@@ -81,6 +81,7 @@ def test_energy_is_kept_and_named_where_it_is_asked_for():
     assert not {"energy", "lambda_1"} & set(session.run(jaxnh.Portrait(**options)))
 
 
+@pytest.mark.slow  # those of trajectories are quick
 def test_outputs_at_crossings_and_strobes():
     """On a section the energy is the start's, and at strobes of random starts each lane's own."""
     start = {"x": 0.8, "y": -0.6, "x_dot": 0.9, "y_dot": 1.2}
