@@ -31,8 +31,63 @@ accuracy: {target: 1.0e-6}
 analyses:
   diagram: {transient: 84, strobes: 16}
 """
-SCENES = {**{name: f"configs/{name}.yaml" for name in ("table1", "table2", "fig04", "governor")}, "small": None}
-"""Scenes by name, each with its config in a checkout; None: `SMALL`."""
+LORENZ96 = """\
+title: Lorenz's equations of 1996 in ten dimensions
+system: {file: lorenz96.py}
+initial: {x0: 1.0, x1: 0.5}
+sweep: {force: {start: 4.0, stop: 10.0, count: 12}}
+accuracy: {target: 1.0e-6}
+analyses:
+  lyapunov: {transient: 32, periods: 256, exponents: 10}
+"""
+LORENZ96_FILE = """\
+import jax.numpy as jnp
+
+
+def system(force=8.0):
+    def rhs(y, t):
+        x = jnp.stack(y)
+        return (jnp.roll(x, -1) - jnp.roll(x, 2)) * jnp.roll(x, 1) - x + force
+
+    return {"rhs": rhs, "coordinates": tuple(f"x{k}" for k in range(10))}
+"""
+
+
+class Scene(NamedTuple):
+    """What is run.
+
+    Attributes:
+        config: its file in a checkout, or its text.
+        overrides: of keys of the config.
+        file: name and text of the user's file beside a config that is a text.
+        asked: seconds that were asked for, of each of `CACHES`.
+    """
+
+    config: str
+    overrides: tuple[str, ...] = ()
+    file: tuple[str, str] | None = None
+    asked: tuple[float | None, float | None] = (None, None)
+
+
+_PAGE_ON_RIGHT_HAND_SIDES = ("sweep.rho.count=64", "analyses.diagram.transient=16", "analyses.lyapunov.transient=16")
+SCENES = {
+    "table1": Scene("configs/table1.yaml", asked=(10.0, 4.0)),
+    "table2": Scene("configs/table2.yaml"),
+    "fig04": Scene("configs/fig04.yaml"),
+    "governor": Scene("configs/governor.yaml"),
+    "small": Scene(SMALL),
+    "lorenz": Scene(
+        "configs/flows/lorenz.yaml", (*_PAGE_ON_RIGHT_HAND_SIDES, "analyses.lyapunov.periods=64"), asked=(7.0, 2.5)
+    ),
+    "oscillating_mass": Scene(
+        "configs/nonholonomic/oscillating_mass.yaml", ("sweep.amplitude.count=24",), asked=(15.0, None)
+    ),
+    "lorenz96": Scene(LORENZ96, file=("lorenz96.py", LORENZ96_FILE), asked=(12.0, None)),
+    "double_pendulum": Scene("configs/flows/double_pendulum.yaml", ("sweep.ratio.count=12",), asked=(15.0, None)),
+    "rolling_disk": Scene("configs/flows/rolling_disk.yaml", asked=(30.0, None)),
+    "roller_racer": Scene("configs/nonholonomic/roller_racer.yaml", asked=(30.0, None)),
+}
+"""Scenes by name; `lorenz` is that of the how-to page on right-hand sides."""
 
 PARTS = ("import", "calibration", "tracing", "compiling", "run", "writing", "rest")
 CACHES = ("empty", "kept")
@@ -49,7 +104,8 @@ Seconds, medians of {repeats} runs{turns}. *Empty*: nothing is kept from an earl
 what was decided for the sweep. Calibration has its own programs in it, tracing and the others are outside it; where a
 program is found, tracing is what it takes to name and load it. Writing is the result file alone: tiles are written
 while the next are computed. The rest is the start and end of Python, the config, tiles, and tables on the terminal.
-`small` has 64 lanes and 100 periods.
+`small` has 64 lanes and 100 periods, `lorenz` is the config of the how-to page on right-hand sides; `oscillating_mass`
+has 24 values and `double_pendulum` 12; `lorenz96` has ten coordinates, 12 values and all exponents.
 """
 
 
@@ -91,12 +147,14 @@ def run_once(checkout: Checkout, scene: str, cache: Path, folder: Path) -> Sampl
     Raises:
         RuntimeError: it failed, or was of another package.
     """
-    config, record = SCENES[scene], folder / "seconds.json"
-    path = checkout.folder / config if config else folder / "small.yaml"
-    if config is None:
-        path.write_text(SMALL, encoding="utf-8")
+    asked, record = SCENES[scene], folder / "seconds.json"
+    path = checkout.folder / asked.config
+    if "\n" in asked.config:
+        path = folder / f"{scene}.yaml"
+        for name, text in ((path.name, asked.config), *([asked.file] if asked.file else [])):
+            (folder / name).write_text(text, encoding="utf-8")
     worker = Path(__file__).with_name("startup_worker.py")
-    command = [checkout.python, "-P", str(worker), str(record), str(path)]
+    command = [checkout.python, "-P", str(worker), str(record), str(path), *asked.overrides]
     command += ["--output", str(folder / "result.h5"), "--fresh", "--quiet"]
     environment = {**os.environ, "PYTHONPATH": str(checkout.folder), "JAX_COMPILATION_CACHE_DIR": str(cache)}
     began = time.perf_counter()
@@ -129,16 +187,18 @@ def measure(
 
 
 def table(measured: Measured) -> Iterator[str]:
-    """Lines of the page: a row a scene, cache and checkout; last the time as a share of that of the last checkout."""
-    yield "| scene | cache | code | whole | " + " | ".join(PARTS) + " | share |"
-    yield "| :-- | :-- | :-- |" + " --: |" * (len(PARTS) + 2)
+    """Lines of the page: a row a scene, cache and checkout; last what was asked for, and the other checkout's share."""
+    yield "| scene | cache | code | whole | " + " | ".join(PARTS) + " | asked for | share |"
+    yield "| :-- | :-- | :-- |" + " --: |" * (len(PARTS) + 3)
     last = list(dict.fromkeys(name for _, _, name in measured))[-1]
     for (scene, cache, name), samples in measured.items():
         whole = statistics.median(sample.whole for sample in samples)
         base = statistics.median(sample.whole for sample in measured[scene, cache, last])
         parts = [statistics.median(sample.of(part) for sample in samples) for part in PARTS]
         share = "" if name == last else f"{whole / base:.2f}"
-        yield f"| {scene} | {cache} | {name} | {' | '.join(f'{x:.2f}' for x in (whole, *parts))} | {share} |"
+        most = SCENES[scene].asked[CACHES.index(cache)]
+        asked = "" if most is None or name != "here" else f"{most:g}"
+        yield f"| {scene} | {cache} | {name} | {' | '.join(f'{x:.2f}' for x in (whole, *parts))} | {asked} | {share} |"
 
 
 def page(measured: Measured, repeats: int) -> str:

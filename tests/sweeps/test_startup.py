@@ -23,7 +23,7 @@ def test_table_has_medians_and_shares():
     assert head.count("|") == rule.count("|") == rows[0].count("|")
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     assert [row[:3] for row in cells] == [["table1", cache, name] for cache in CACHES for name in ("here", "abc")]
-    assert cells[0][3:] == ["5.00", *["0.50"] * 6, "2.00", "0.25"]
+    assert cells[0][3:] == ["5.00", *["0.50"] * 6, "2.00", "10", "0.25"]
     assert cells[1][3] == "20.00"
     assert cells[1][-1] == ""
     text = startup.page(measured, 3)
@@ -34,7 +34,8 @@ def test_table_has_medians_and_shares():
 @pytest.mark.slow
 def test_a_run_is_split(tmp_path, monkeypatch):
     """Two runs of a small scene, of which the second finds its programs: parts are there and are no more than all."""
-    monkeypatch.setattr(startup, "SMALL", startup.SMALL.replace("count: 64", "count: 4"))
+    few = startup.Scene(startup.SMALL, ("sweep.b.count=4",))
+    monkeypatch.setitem(startup.SCENES, "small", few)
     empty, kept = (startup.run_once(Checkout(ROOT, "here"), "small", tmp_path / "cache", tmp_path) for _ in CACHES)
     for one in (empty, kept):
         assert all(one.of(part) >= 0 for part in PARTS)
