@@ -47,7 +47,8 @@ def fault_of(system: System, state: State, p: Parameters, first_look: str = "") 
         return why
     flow = system.flow
     state = state if flow is system else state.state
-    if (fastest := _fastest_rate(flow, 0.0, state, p) * flow.period) > _STIFF:
+    alone = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
+    if (fastest := _fastest_rate(flow, np.zeros(1), alone, p) * flow.period) > _STIFF:
         time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
         return f"{_stiff(flow, fastest)}; slow down what is fast in it{time_unit}"
     if first_look:
@@ -84,8 +85,7 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
     if why := flow.near_degeneracy(times, passed, p):
         return why
     if not np.all(finite := is_finite(passed)):
-        start = jax.tree.map(lambda leaf: leaf[0], passed)
-        fastest = _fastest_rate(flow, float(times[0]), start, p)
+        fastest = _fastest_rate(flow, times[:1], jax.tree.map(lambda leaf: leaf[:1], passed), p)
         if fastest * (times[1] - times[0]) > _UNSTABLE:  # of the steps that are to show the motion, and no fault of it
             return f"{_stiff(flow, fastest * flow.period)}; slow down what is fast in it, or ask for less"
         _, finer_times, finer, _ = _motion_of(maps, sample, length, _FINER * _ROUGHLY)
@@ -128,8 +128,7 @@ def explain_rounding(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray,
 def _explain_rates(maps: SampleMaps, flow: Flow, times: np.ndarray, passed: State, p: Parameters) -> str:
     """Explain an error by rates on a motion that the most steps do not follow; "" where these do."""
     picked = np.linspace(0, len(times) - 1, _LOOKED_AT).round().astype(int)
-    each = ((float(times[i]), jax.tree.map(lambda leaf, i=i: leaf[i], passed)) for i in picked)
-    fastest = max(_fastest_rate(flow, t, y, p) for t, y in each) * flow.period
+    fastest = _fastest_rate(flow, times[picked], jax.tree.map(lambda leaf: leaf[picked], passed), p) * flow.period
     steps = max(1, maps.scheme.reference.most_steps(maps.tried))
     if fastest < _UNRESOLVED * steps:
         return ""
@@ -178,8 +177,18 @@ def _motion(flow: Flow, y: State, p: Parameters, length: float, steps: int = _RO
     return times, jax.tree.map(np.asarray, motion(jax.tree.map(jnp.asarray, y), p))
 
 
-def _fastest_rate(flow: Flow, t: float, y: State, p: Parameters) -> float:
-    """Largest modulus of the eigenvalues of a flow's linearisation at a state; zero where it has none."""
-    flat, whole = ravel_pytree(jax.tree.map(jnp.asarray, y))
-    jacobian = np.asarray(jax.jacfwd(lambda z: ravel_pytree(flow.rhs(t, whole(z), p))[0])(flat))
-    return float(np.abs(np.linalg.eigvals(jacobian)).max()) if np.isfinite(jacobian).all() else 0.0
+def _fastest_rate(flow: Flow, times: np.ndarray, states: State, p: Parameters) -> float:
+    """Largest modulus of the eigenvalues of a flow's linearisations at states (count,) of a motion.
+
+    Those that are not finite are left out; zero where all are.
+    """
+
+    @partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
+    @jax.vmap
+    def jacobians(t: Array, y: State) -> Array:
+        flat, whole = ravel_pytree(y)
+        return jax.jacfwd(lambda z: ravel_pytree(flow.rhs(t, whole(z), p))[0])(flat)
+
+    each = np.asarray(jacobians(jnp.asarray(times), jax.tree.map(jnp.asarray, states)))
+    finite = each[np.isfinite(each).all(axis=(1, 2))]
+    return float(np.abs(np.linalg.eigvals(finite)).max(initial=0.0))
