@@ -43,9 +43,9 @@ def test_shares_of_the_particle(b):
 
     par, axis = taylor.Parameters(), np.linspace(-3.0, 3.0, SIDE)
     starts = [par.start(x1, 0.1, y1) for x1 in axis for y1 in axis]
-    states = [taylor.strobe(par, b, starts, TRANSIENT, 1e-12, np.float64)]
+    states = [taylor.strobe_of_many(par, b, starts, TRANSIENT, 1e-12)]
     for _ in range(LAST - 1):
-        states.append(taylor.strobe(par, b, states[-1], 1, 1e-12, np.float64))
+        states.append(taylor.strobe_of_many(par, b, states[-1], 1, 1e-12))
     points = np.stack(states)[:, :, :2]
     recurs = [np.abs(points[n:] - points[:-n]).max(axis=(0, 2)) < 1e-4 for n in range(1, LIMIT + 1)]
     least = np.where(np.any(recurs, axis=0), 1 + np.argmax(recurs, axis=0), 100)

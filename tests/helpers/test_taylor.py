@@ -132,6 +132,14 @@ def test_periods_add_up():
     assert apart(taylor.strobe(par, B[3], STATES[3])[0], taylor.strobe(par, B, STATES)[3]) == 0
 
 
+@pytest.mark.slow
+def test_lanes_of_a_vector_are_those_alone():
+    """Eleven, which fill no number of vectors; two periods apart by their rounding, times what a period expands."""
+    par, states = taylor.Parameters(), np.resize(STATES, (11, 3)).astype(float)
+    alone = taylor.strobe(par, MILD[-1], states, 2, real=np.float64)
+    assert apart(taylor.strobe_of_many(par, MILD[-1], states, 2), alone) < 1e-12
+
+
 def test_strobe_period():
     assert taylor.Parameters(omega=2).period == taylor.TWO_PI / 2
     assert taylor.Parameters(d=0.1, omega=2).period == taylor.TWO_PI
