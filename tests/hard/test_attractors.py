@@ -309,7 +309,7 @@ def attractors(lanes, scene, found, left):
 @pytest.mark.case("A poisoned lane")
 def test_poisoned_lane(battery, lanes, tmp_path):
     """Not a number, infinite, or so large that the force overflows: that lane is marked failed, the others keep their bits."""
-    count = 600 if battery.full else 40
+    count = 600 if battery.full else 24  # of a tile of 32
     values = np.linspace(5.2, 5.8, count)
     scene = scene_at(values, 110)
     clean = everything(scene, lanes)
