@@ -257,9 +257,9 @@ def test_what_windows_cannot_do_is_said(tmp_path, sweep, message):
 def test_windows_of_a_flow(tmp_path):
     """The flow whose strobe map is the quadratic map: period 3, the doublings by Newton on it, where these end, and the crisis.
 
-    Paths of 1,024 strobes for the crisis: their error is that of the map's own (above), and longer ones are all that costs.
+    Paths of 512 strobes for the crisis: their error is that of the map's own (above), and longer ones are all that costs.
     """
-    most = 1024
+    most = 512
     options = f"{{max_period: 3, crisis: {most}}}"
     tree = session_of(flow(tmp_path, "a: {start: 1.74, stop: 1.80, count: 61}", options)).tree()
     data = tree["windows"].to_dataset()
@@ -280,7 +280,7 @@ def test_windows_of_a_flow(tmp_path):
 @pytest.mark.slow
 def test_crisis_of_a_flow_whose_bands_are_born_in_a_doubling(tmp_path):
     """The same flow: the two bands meet at the orbit of period 1 that doubled before the sweep begins."""
-    tree = session_of(flow(tmp_path, "a: {start: 1.2, stop: 1.56, count: 73}", "{max_period: 4, crisis: 1024}")).tree()
+    tree = session_of(flow(tmp_path, "a: {start: 1.2, stop: 1.56, count: 61}", "{max_period: 2, crisis: 512}")).tree()
     data = tree["windows"].to_dataset().isel(window=0)
     assert int(data["period"]) == 2
     crisis, error = float(data["crisis"]), float(data["crisis_error"])
