@@ -239,17 +239,17 @@ def compared(name: str, content: Mapping[str, Any], variable: str) -> AgreementR
     return AgreementRow(name, both.sum(), values.size - alike, float(apart.max()), float((apart <= bars).mean()))
 
 
-def agreements() -> Iterator[AgreementRow]:
-    """Yield how numbers of this device agree with those of the host."""
+def agreement_scenes() -> Iterator[tuple[str, dict[str, Any], str]]:
+    """Yield names and configs of what is run on the device and on the host, and the variable that is compared."""
     system, start = dict[str, Any](constraint="constant_speed"), {"initial": _START, "accuracy": {"target": 1e-6}}
     along = {"b": {"start": 4.0, "stop": 6.0, "count": 48}}
     spectra = {"lyapunov": {"transient": 128, "periods": 128}}
     particle = {"title": "Agreement", "system": system, **start, "sweep": along, "analyses": spectra}
-    yield compared("exponents of the particle", particle, "exponents")
+    yield "exponents of the particle", particle, "exponents"
     doubling, along = {"doubling": {"levels": 4}}, {"b": {"start": 5.6, "stop": 5.45, "count": 128}}
     system = {**system, "a": 0.5, "c": 1.0, "omega": 1.0}
     table1 = {**particle, "system": system, "sweep": along, "analyses": doubling}
-    yield compared("doublings of Table 1", table1, "b")
+    yield "doublings of Table 1", table1, "b"
 
 
 def peak_memory() -> int:
@@ -380,9 +380,9 @@ def main() -> None:
         scenes.append(measured_scene(name, content))
         print(scenes[-1], flush=True)
         keep()
-    for row in agreements():
-        agreed.append(row)
-        print(row, flush=True)
+    for scene in agreement_scenes():
+        agreed.append(compared(*scene))
+        print(agreed[-1], flush=True)
         keep()
     for row in measured_maps(sizes, tuned):
         maps.append(row)
