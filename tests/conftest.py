@@ -156,6 +156,16 @@ def always_one_core() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def always_few_lanes(always_one_core: None) -> Iterator[None]:
+    """For modules whose slow sessions have some dozens of lanes at most: they are padded to 32, and not to 256.
+
+    Last bits are those of the tile's width, so that nothing may hang on them.
+    """
+    with mock.patch.object(kept_programs, "executor_of_tests", PaddedToFew):
+        yield
+
+
 @pytest.fixture(autouse=True)
 def no_scheduler_left() -> Iterator[None]:
     """Dask's settings of a run that was stopped are no other test's."""

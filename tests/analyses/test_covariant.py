@@ -15,7 +15,7 @@ from tests.flows import lorenz
 from tests.flows.known_maps import henon
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("one_core")
+pytestmark = pytest.mark.usefixtures("always_few_lanes")
 GOLDEN = np.log((3.0 + np.sqrt(5.0)) / 2.0)
 
 
@@ -253,19 +253,19 @@ def test_a_search_finds_no_tangency_where_there_is_none():
 
 @pytest.mark.slow  # the same search on maps is quick
 def test_lorenzs_tangencies_begin_at_31():
-    """A search has them on the right side of 31.008, where they begin by DOP853, from both starts.
+    """A search has them on the right side of 31.008, where they begin by DOP853.
 
     Motions come near the first ones where they have passed the stable manifold of the origin closely: 1,024 points
-    meet none at 31.1, and the verdict would be hyperbolic.
+    meet none at 31.1, and the verdict would be hyperbolic. Returns 1e-6 off move no tangency by as much as 0.1 of ρ.
     """
-    session = jaxnh.Session(lorenz.lorenz_from_equilibria, start={"x": 1.0, "y": 1.0, "w": -8.0}, target=1e-8)
+    session = jaxnh.Session(lorenz.lorenz_from_equilibria, start={"x": 1.0, "y": 1.0, "w": -8.0}, target=1e-6)
     session = session.on(coordinate="w", value=0.0, direction="down")
-    rho, starts = [30.9, 31.1], [0.9, 1.1]
+    rho = [30.9, 31.1]
     assert rho[0] < lorenz.first_tangency() < rho[1]
-    few = session.run(jaxnh.Covariant(strobes=1024), rho=rho, x=starts)
-    assert words(few, "kind") == [["hyperbolic"] * 2] * 2
-    data = session.run(jaxnh.Covariant(strobes=1024, search=96), rho=rho, x=starts)
-    assert words(data, "kind") == [["hyperbolic"] * 2, ["tangent"] * 2]
+    few = session.run(jaxnh.Covariant(strobes=1024), rho=rho)
+    assert words(few, "kind") == ["hyperbolic"] * 2
+    data = session.run(jaxnh.Covariant(strobes=1024, search=96), rho=rho)
+    assert words(data, "kind") == ["hyperbolic", "tangent"]
 
 
 @pytest.mark.slow  # the matrix has the particle

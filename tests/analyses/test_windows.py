@@ -17,6 +17,8 @@ from jaxnh.orbits.continuation.arclength import Family
 from tests.helpers.cases import some_slow
 from tests.helpers.kept_programs import session_of
 
+pytestmark = pytest.mark.usefixtures("always_few_lanes")
+
 
 def quadratic(x, a):
     """x → 1 − a x² and its derivatives."""

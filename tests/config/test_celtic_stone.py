@@ -17,7 +17,7 @@ from jaxnh.systems.level import off_level
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("uncalibrated")
+pytestmark = pytest.mark.usefixtures("uncalibrated", "always_few_lanes")
 CONFIGS = ROOT / "configs/nonholonomic"
 FEIGENBAUM = 4.669201609102990
 """Feigenbaum's constant δ (Briggs, Math. Comp. 57 (1991) 435)."""
@@ -114,8 +114,8 @@ def fixed_point(x, energy, angle):
     raise AssertionError("Newton has not converged")
 
 
-STEPS = "accuracy={solver: verner9, steps: 400}"  # a return is 1e-9 off by them, and less
-FEWER_STEPS = "accuracy={solver: verner9, steps: 160}"  # 1e-7, and less
+STEPS = "accuracy={solver: verner9, steps: 160}"  # a return is 1e-9 off by them, and less
+FEWER_STEPS = "accuracy={solver: verner9, steps: 100}"  # 1e-7, and less
 
 
 def groups_of(name, *changes):
@@ -175,9 +175,7 @@ def test_the_saddle_of_a_discrete_lorenz_attractor():
     exact = exact[np.argsort(-np.abs(exact))]
     assert exact[0].real < -1.0 < exact[2].real < 0.0 < exact[1].real < 1.0
     options = "analyses={orbits: {max_period: 1, attractor: 2048, rounds: 4}}"
-    orbits = groups_of("discrete_lorenz", "sweep.energy={values: [752.0]}", FEWER_STEPS, options)["orbits"].isel(
-        energy=0
-    )
+    orbits = groups_of("discrete_lorenz", "sweep.energy={values: [752.0]}", STEPS, options)["orbits"].isel(energy=0)
     assert jaxnh.labels(orbits["carrier"]).item() == "discrete lorenz"  # by an unstable leaf: points are too far away
     multipliers = orbits["multipliers"].to_numpy()[:, :3, 0]
     saddle = int(np.argmin(np.abs(multipliers[:, 0] - exact[0].real)))

@@ -23,7 +23,7 @@ from tests.helpers.batches import batch_of
 from tests.helpers.kept_programs import lanes_with_kept_programs
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_few_lanes")
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 SYSTEMS = {"constant speed": (constant_speed(), 0.1), "disturbed speed": (disturbed_speed(), 0.01)}
