@@ -13,6 +13,18 @@ from tests.helpers.paths import ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PAPER = (ROOT / "paper" / "paper.md").read_text()
+SECTIONS = {
+    "Summary",
+    "Statement of need",
+    "State of the field",
+    "Software design",
+    "Research impact statement",
+    "References",
+}
+"""Sections that the Journal of Open Source Software asks for."""
+WORDS = 750, 1750
+"""Fewest and most words of an article there."""
+ARTICLE = "Complete identification of chaos of nonlinear nonholonomic systems"
 
 
 def loaded(path):
@@ -30,6 +42,26 @@ def test_citation_is_that_of_the_repository():
     assert said["author"] == "{" + stated["authors"][0]["name"] + "}"
     assert said["title"].startswith(stated["title"])
     assert said["license"] == stated["license"] == PROJECT["license"]
+
+
+def test_the_article_of_the_equations_is_named():
+    """Wherever the package says how it is cited and what it rests on."""
+    bibliography = (ROOT / "docs" / "reference" / "bibliography.md").read_text()
+    for text in (loaded(ROOT / "CITATION.cff")["abstract"], bibliography, (ROOT / "README.md").read_text()):
+        assert ARTICLE in " ".join(text.split())
+
+
+def test_every_source_has_an_entry_with_its_doi():
+    """Of theory and solvers: before each year stands the first author of an entry of that year."""
+    entries = re.findall(r"^- (.*)$", (ROOT / "docs" / "reference" / "bibliography.md").read_text(), re.MULTILINE)
+    assert all(("](https://doi.org/10." in entry) != entry.endswith("No DOI known.") for entry in entries)
+    name, year = re.compile(r"[^\W\d_]{3,}"), re.compile(r"(?<![.\d])(?:19|20)\d\d(?=;|(?:, \d{4})*\))")
+    for path in (ROOT / "docs" / "theory.md", *sorted((ROOT / "jaxnh" / "solvers").glob("*.py"))):
+        text = path.read_text()
+        for match in year.finditer(text):
+            before = text[max(0, match.start() - 110) : match.start()]
+            authors = {name.findall(entry)[0] for entry in entries if f"({match[0]})" in entry}
+            assert authors & set(name.findall(before)), (path.name, before, match[0])
 
 
 def test_badges_are_true():
@@ -57,9 +89,11 @@ def test_issue_templates_are_forms():
 
 
 def test_paper_has_its_references_and_figures():
-    """Every key of the text is in the bibliography and the other way round; every figure has a target that makes it."""
+    """It has the sections and the length that are asked for, each key in its bibliography, each figure with its target."""
     head, _, body = PAPER.removeprefix("---\n").partition("\n---\n")
     assert {"title", "tags", "authors", "affiliations", "bibliography"} <= YAML(typ="safe").load(head).keys()
+    assert set(re.findall(r"^# (.*)$", body, re.MULTILINE)) >= SECTIONS
+    assert WORDS[0] <= len(body.split()) <= WORDS[1]
     keys = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text(), re.MULTILINE))
     assert set(re.findall(r"@(\w+)", body)) == keys
     made = re.search(r"^PAPER_FIGURES := (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
