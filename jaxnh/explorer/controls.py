@@ -14,7 +14,7 @@ from jaxnh.explorer.view import View
 _STROBES = (64, 128, 256, 512, 1024, 2048)
 _TRANSIENTS = (64, 256, 512, 1024, 4096, 16384)
 _TARGETS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
-_WIDTH = 190
+_WIDTH = 220
 
 
 class Controls:
@@ -43,7 +43,7 @@ class Controls:
         self._target = pn.widgets.Select(name="error of one period", width=_WIDTH)
         self._sliders = {
             p.name: pn.widgets.EditableFloatSlider(
-                name=p.words, value=p.value, start=p.low, end=p.high, step=(p.high - p.low) / 200, width=210
+                name=p.words, value=p.value, start=p.low, end=p.high, step=(p.high - p.low) / 200, width=_WIDTH
             )
             for p in source.parameters
         }

@@ -12,7 +12,7 @@ import panel as pn
 
 from jaxnh.exceptions import JaxnhError
 from jaxnh.explorer.edited_files import MOST, EditedFiles, place_of
-from jaxnh.explorer.page_style import CSS
+from jaxnh.explorer.page_style import CSS, NARROW
 
 _LINE = 18  # pixels, as the style has it
 _TEXT = """
@@ -63,7 +63,7 @@ class Editor:
         self._wrong = {path: pn.pane.HTML("", stylesheets=[CSS], width=_NARROW, margin=(8, 0)) for path in self._areas}
         for path, area in self._areas.items():
             area.param.watch(lambda event, path=path: self._typed(path, str(event.new)), "value_input")
-        self._said = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
+        self._said = pn.pane.HTML("", stylesheets=[CSS, NARROW], css_classes=["line"], sizing_mode="stretch_width")
         self.layout = self._layout(state)
         self.say(state.note)
 
@@ -72,15 +72,31 @@ class Editor:
             pn.Column(
                 pn.pane.HTML(f"<b>{html.escape(str(path))}</b>"),
                 pn.Column(
-                    pn.Row(self._gutters[path], area, self._wrong[path]), scroll=True, max_height=_TALL, width=1100
+                    pn.Row(self._gutters[path], area, self._wrong[path]),
+                    scroll=True,
+                    max_height=_TALL,
+                    sizing_mode="stretch_width",
+                    css_classes=["whole"],
+                    stylesheets=[NARROW],
                 ),
+                sizing_mode="stretch_width",
+                css_classes=["whole"],
+                stylesheets=[NARROW],
             )
             for path, area in self._areas.items()
         ]
         run = pn.widgets.Button(name="Check and run", button_type="primary", width=130, on_click=lambda _: self._run())
         save = pn.widgets.Button(name="Save to the files", width=140, on_click=lambda _: self._save())
         close = pn.widgets.Button(name="Close the editor", width=140, on_click=lambda _: self.toggle())
-        return pn.Column(pn.Row(run, save, close, self._said), *rows, visible=state.is_open)
+        buttons = pn.Row(run, save, close, self._said, css_classes=["wrapped"], stylesheets=[NARROW])
+        return pn.Column(
+            buttons,
+            *rows,
+            visible=state.is_open,
+            sizing_mode="stretch_width",
+            css_classes=["whole"],
+            stylesheets=[NARROW],
+        )
 
     @property
     def state(self) -> EditorState:

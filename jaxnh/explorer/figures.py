@@ -20,6 +20,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from jaxnh.explorer.layers import Scale
+from jaxnh.explorer.page_style import NARROW
 from jaxnh.explorer.raster import ROWS, Raster
 from jaxnh.explorer.source import Picture
 from jaxnh.explorer.view import View
@@ -55,6 +56,8 @@ class Drawing:
             active_scroll="wheel_zoom",
             sizing_mode="stretch_width",
             min_width=_NARROWEST,
+            css_classes=["whole"],
+            stylesheets=[NARROW],
             frame_height=_PLANE_HEIGHT if view.second else ROWS,
             output_backend="canvas",
             x_axis_label=x_label,

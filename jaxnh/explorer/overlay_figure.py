@@ -6,15 +6,16 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import ColumnDataSource, GlyphRenderer, Legend, LegendItem, MultiLine, Scatter, Text, VStrip
+from bokeh.models import ColumnDataSource, CustomJS, GlyphRenderer, Legend, LegendItem, MultiLine, Scatter, Text, VStrip
 from bokeh.plotting import figure
 
 from jaxnh.explorer.layers import Hit, Layer, Scale, nearest, thin
+from jaxnh.explorer.page_scripts import COLUMNS
 
 _DASHES = ("solid", "dashed", "dotted", "dashdot")
 _ENTRIES = 4  # of the legend in a row
 _SIZE = 7  # pixels, of a mark
-_EDGE = {"text_outline_color": "white", "text_font_size": "12px", "x_offset": 6, "y_offset": -4}
+_WORDS = {"text_font_size": "12px", "x_offset": 6, "y_offset": -4}
 
 
 class LayerDrawing:
@@ -43,6 +44,7 @@ class LayerDrawing:
             inactive_fill_color="white", inactive_fill_alpha=0.75, spacing=12,
         )  # fmt: skip
         drawn.add_layout(self._legend, "above")
+        drawn.js_on_change("inner_width", CustomJS(args={"legend": self._legend, "most": _ENTRIES}, code=COLUMNS))
 
     def show(self, layers: Sequence[Layer]) -> None:
         """Draw other layers, if they are others; `fit` gives them their points."""
@@ -83,7 +85,9 @@ class LayerDrawing:
             *hollow, marker = layer.mark.split()
             fill = "white" if hollow else layer.colour
             glyphs = [Scatter(x="x", y="y", size=_SIZE, marker=marker, fill_color=fill, line_color=layer.colour)]
-            glyphs += [Text(x="x", y="y", text=value(layer.label), **_EDGE)] if layer.label else []
+            if layer.label:  # an outline is drawn over its letters, so that it goes below them
+                words = {"x": "x", "y": "y", "text": value(layer.label), **_WORDS}
+                glyphs += [Text(text_outline_color="white", text_outline_width=3, **words), Text(**words)]
         else:
             source = ColumnDataSource({"x0": [], "x1": []})
             glyphs = [VStrip(x0="x0", x1="x1", fill_color=layer.colour, fill_alpha=0.35, line_alpha=0.0)]

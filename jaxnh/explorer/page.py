@@ -27,7 +27,7 @@ from jaxnh.explorer.opening import PageContent, keeping
 from jaxnh.explorer.overlay_figure import LayerDrawing
 from jaxnh.explorer.overlays import layers_of
 from jaxnh.explorer.page_scripts import KEYBOARD, KEYS, LOST
-from jaxnh.explorer.page_style import CSS
+from jaxnh.explorer.page_style import CSS, NARROW
 from jaxnh.explorer.portrait_pane import PortraitPane
 from jaxnh.explorer.report import facts_html, report_html
 from jaxnh.explorer.saved_view import SavedView, yaml_of
@@ -109,40 +109,44 @@ class Page:
         self._back = pn.widgets.Button(name="◀ Back", width=90, on_click=lambda _: self._move(-1))
         self._forward = pn.widgets.Button(name="Forward ▶", width=90, on_click=lambda _: self._move(1))
         self._whole = pn.widgets.Button(name="Whole range", width=110, on_click=lambda _: self._go_whole())
-        self._status = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
+        line: dict[str, Any] = {"css_classes": ["line"], "sizing_mode": "stretch_width"}
+        self._status = pn.pane.HTML("", stylesheets=[CSS, NARROW], **line)
         self._notes = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
         self._lane = pn.pane.HTML(
             f"Click into the {'plane' if view.second else 'diagram'}: portrait, strobe points, period, spectrum and "
             "verdict of the lane there, as far as "
             f"{'they can be computed' if self._source.computes else 'the file has them'}. Press ? for the keys.",
-            stylesheets=[CSS],
-            sizing_mode="stretch_width",
+            stylesheets=[CSS, NARROW],
+            **line,
         )
         self._key = pn.pane.HTML("", stylesheets=[CSS], sizing_mode="stretch_width")
 
     def _saves(self) -> list[Any]:
         """Buttons that save, and the one that opens the editor."""
-        look = {"width": 190, "button_type": "primary"}
+        look = {"width": 220, "button_type": "primary"}
         yaml = pn.widgets.FileDownload(callback=self._save_yaml, filename="view.yaml", label="Save as YAML", **look)
         png = pn.widgets.FileDownload(callback=self._save_picture, filename="view.png", label="Save picture", **look)
-        edit = pn.widgets.Button(name="Edit the files", width=190, on_click=lambda _: self._edit())
+        edit = pn.widgets.Button(name="Edit the files", width=220, on_click=lambda _: self._edit())
         config = bool(self._source.batch_text(self._history.now))
         return [*([yaml] if config else []), png, *([edit] if self._editor else [])]
 
     def layout(self) -> pn.viewable.Viewable:
         """The whole page."""
-        side = pn.Column(*self._controls.widgets, *self._saves(), width=230)
+        narrow: dict[str, Any] = {"stylesheets": [NARROW]}
+        side = pn.Column(*self._controls.widgets, *self._saves(), width=240, css_classes=["whole"], **narrow)
         main = pn.Column(
             pn.pane.HTML(f"<h2 style='margin:4px 0'>{html.escape(self._source.title)}</h2>"),
-            pn.Row(self._back, self._forward, self._whole, self._status),
+            pn.Row(self._back, self._forward, self._whole, self._status, css_classes=["wrapped"], **narrow),
             *([self._editor.layout] if self._editor else []),
             self._key,
             pn.pane.Bokeh(self._drawing.figure, sizing_mode="stretch_width"),
             self._notes,
-            pn.Row(self._portrait.layout, self._lane, sizing_mode="stretch_width"),
+            pn.Row(self._portrait.layout, self._lane, sizing_mode="stretch_width", css_classes=["beside"], **narrow),
             sizing_mode="stretch_width",
+            css_classes=["whole"],
+            **narrow,
         )
-        return pn.Row(side, main, sizing_mode="stretch_width")
+        return pn.Row(side, main, sizing_mode="stretch_width", css_classes=["aside"], **narrow)
 
     # ---- what one does
 

@@ -114,3 +114,8 @@ else if (cb_obj.event_name == "pan" && window.jaxnh_from) {
 }
 """
 """A drag turns the camera."""
+
+COLUMNS = """
+legend.ncols = Math.max(1, Math.min(most, Math.floor(cb_obj.inner_width / 150)))
+"""
+"""The legend is no wider than the figure: an entry has 150 pixels."""

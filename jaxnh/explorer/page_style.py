@@ -22,3 +22,22 @@ table.lane td:first-child { color: #666; white-space: nowrap; }
 .scale .ends { display: flex; justify-content: space-between; font-size: 12px; }
 """
 """Style of its panes."""
+
+HEAD = """\
+{% block preamble %}<meta name="viewport" content="width=device-width, initial-scale=1">{% endblock %}
+"""
+"""What the head of the page has besides: on a telephone a pixel of the page is one of its screen's."""
+
+NARROW = """
+@media (max-width: 900px) {
+  :host(.beside) { flex-direction: column !important; }
+  :host(.aside) { flex-direction: column-reverse !important; }
+  :host(.wrapped) { flex-wrap: wrap !important; }
+  :host(.whole), :host(.beside), :host(.aside), :host(.wrapped) {
+    flex: none !important; width: 100% !important; min-width: 0 !important; max-width: 100% !important;
+  }
+  :host(.line) { flex: none !important; width: calc(100% - 20px) !important; min-width: 0 !important; }
+  :host(.square) { width: min(100%, 460px) !important; height: auto !important; aspect-ratio: 1; }
+}
+"""
+"""Style of the page in a narrow window: what is side by side elsewhere is one below the other, and no wider than it."""

@@ -13,6 +13,7 @@ from bokeh.plotting import figure
 
 from jaxnh.explorer.layers import Points
 from jaxnh.explorer.page_scripts import DRAGGED, TURNED
+from jaxnh.explorer.page_style import NARROW
 from jaxnh.explorer.source import LaneReport, axis_title
 from jaxnh.plotting.descriptions import describe
 from jaxnh.plotting.groups import variables_of
@@ -64,11 +65,12 @@ class Portrait:
         [legend] = self.plane.legend
         legend.update(orientation="horizontal", border_line_alpha=0.0, padding=0)
         self.plane.add_layout(legend, "above")  # off the data
+        self._path_entry = legend.items[0]
         self.camera = ColumnDataSource({name: [value] for name, value in (_CAMERA | dict(camera or {})).items()})
         self._make_space()
 
     def _make_space(self) -> None:
-        across, up = (Range1d(start=-1.9, end=1.9) for _ in range(2))
+        across, up = (Range1d(start=-2.0, end=2.0) for _ in range(2))
         self.space = figure(
             tools="wheel_zoom,reset",
             active_scroll="wheel_zoom",
@@ -77,6 +79,8 @@ class Portrait:
             name="space",
             x_range=across,
             y_range=up,
+            css_classes=["square"],
+            stylesheets=[NARROW],
         )
         self.space.toolbar.logo = None
         self.space.axis.visible = False
@@ -123,6 +127,7 @@ class Portrait:
     def _draw(self, path: Coordinates, points: Coordinates, titles: dict[str, str], plane: Sequence[str]) -> None:
         self._path, self._points, self._titles = dict(path), dict(points), titles
         self.names = tuple(dict.fromkeys((*plane[:2], *titles)))
+        self._path_entry.visible = has_points(path)
         few = max(map(len, points.values()), default=0) <= _FEW
         self._marks.glyph.update(size=7 if few else 3)
         self.choose(self.names)

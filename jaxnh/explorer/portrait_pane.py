@@ -9,6 +9,7 @@ import panel as pn
 from bokeh.models import ColumnDataSource
 
 from jaxnh.explorer.layers import Points
+from jaxnh.explorer.page_style import NARROW
 from jaxnh.explorer.portrait import Portrait, has_points, points_of_attractors
 from jaxnh.explorer.source import LaneReport
 
@@ -34,10 +35,14 @@ class PortraitPane:
             options=[_PLANE, _SPACE], value=_SPACE if camera else _PLANE, width=130, align="end"
         )
         self._axes = [pn.widgets.Select(name=name, width=105) for name in _AXES]
-        self._plane = pn.Column(pn.pane.Bokeh(self._portrait.plane, sizing_mode="stretch_width"), min_width=460)
-        self._space = pn.Column(pn.pane.Bokeh(self._portrait.space))
-        self._bar = pn.Row(self._in, *self._axes)
-        self.layout = pn.Column(self._bar, self._plane, self._space, sizing_mode="stretch_width", visible=False)
+        whole: dict[str, Any] = {"css_classes": ["whole"], "stylesheets": [NARROW]}
+        plane = pn.pane.Bokeh(self._portrait.plane, sizing_mode="stretch_width")
+        self._plane = pn.Column(plane, min_width=460, **whole)
+        self._space = pn.Column(pn.pane.Bokeh(self._portrait.space), **whole)
+        self._bar = pn.Row(self._in, *self._axes, css_classes=["wrapped"], stylesheets=[NARROW])
+        self.layout = pn.Column(
+            self._bar, self._plane, self._space, sizing_mode="stretch_width", visible=False, **whole
+        )
         self._in.param.watch(self._arrange, "value")
         for select in self._axes:
             select.param.watch(self._chosen, "value")

@@ -19,6 +19,7 @@ from jaxnh.exceptions import ArgumentError
 from jaxnh.explorer.editor import EditorState
 from jaxnh.explorer.opening import PageContent
 from jaxnh.explorer.page import Page, Run
+from jaxnh.explorer.page_style import HEAD, NARROW
 from jaxnh.explorer.worker import Worker
 
 LOOPBACK = ("127.0.0.1", "localhost")
@@ -107,8 +108,10 @@ def make_server(
     def page() -> pn.viewable.Viewable:
         document = pn.state.curdoc
         assert document is not None
+        document.template = HEAD
         query = {key: values[0].decode() for key, values in pn.state.session_args.items() if key != "token"}
-        holder, pages = pn.Column(sizing_mode="stretch_width"), list[Page]()
+        holder = pn.Column(sizing_mode="stretch_width", css_classes=["whole"], stylesheets=[NARROW])
+        pages: list[Page] = []
 
         def show(opened: PageContent, editor: EditorState | None) -> Page:
             for old in pages:

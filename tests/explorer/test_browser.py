@@ -7,6 +7,7 @@ that is tested, or what it does to files, it is started (`started`).
 from __future__ import annotations
 
 import http.client
+import itertools
 import json
 import os
 import re
@@ -417,6 +418,25 @@ def test_curves_are_laid_over_told_by_a_click_and_moved_by_keys(tab, sites):
     page.wait_for_function("() => location.search.includes('low=2.75&high=3.25')")
     page.keyboard.press("[")
     page.wait_for_function("() => location.search.includes('low=2.5&high=3.5')")
+
+
+def test_in_a_narrow_window_nothing_is_wider_than_it_or_lies_over_another_thing(browser, sites):
+    """On a telephone the picture comes before the controls, and the legend has fewer columns."""
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    context.set_default_timeout(PATIENCE)
+    page = context.new_page()
+    page.goto(sites["cascade"])
+    page.get_by_text("5 values", exact=True).wait_for()
+    page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('view').above.find((x) => x.ncols == 2)")
+    page.wait_for_function("() => document.documentElement.scrollWidth == 390 && innerWidth == 390")
+    things = [".status", ".bk-Figure", ".notes", "text=Click into the diagram", "select", "text=Save picture"]
+    boxes = [page.locator(name).first.bounding_box() for name in things]
+    for above, below in itertools.pairwise(boxes):
+        assert above["y"] + above["height"] <= below["y"] + 1
+    assert all(box["x"] >= 0 and box["x"] + box["width"] <= 390 for box in boxes)
+    assert boxes[1]["width"] > 350
+    shot(page, "narrow")
+    context.close()
 
 
 def test_an_atlas_leads_from_a_curve_to_its_orbit_and_says_its_limits(tab, sites):

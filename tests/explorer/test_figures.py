@@ -29,7 +29,9 @@ def test_points_of_a_section_are_in_the_plane_of_the_trajectory():
     portrait.show(LaneReport({"c": 5.7}, {"poincare": points}, whole=False))
     assert portrait.plane.yaxis[0].axis_label == "coordinate z (m)"
     assert np.array_equal(dots.data["y"], points["z"])
+    assert [item.visible for item in portrait.plane.legend[0].items] == [False, True]
     portrait.show(LaneReport({"c": 5.7}, {"poincare": points, "portrait": path}, whole=True))
     assert portrait.plane.yaxis[0].axis_label == "coordinate y (m)"
     assert np.array_equal(dots.data["y"], points["y"])
     assert np.array_equal(line.data["y"], path["y"])
+    assert [item.visible for item in portrait.plane.legend[0].items] == [True, True]
