@@ -36,11 +36,9 @@ RATE = 1024**2 / 230 / 2
 CORES = 64
 """Of a node, in what is reckoned."""
 
-LANE_PERIODS = 1200
-"""Lane-periods of a lane of that chart at most, transient and averages of both analyses."""
-
-CARD_RATE = 3.7e8
-"""Units of time of Lorenz's flow a second at 1e-9 that another program has on one card: an order of magnitude alone."""
+CARDS = 8
+CARD_RATE = 1024**2 / 35
+"""Lanes a second of a chart of b by d on one H100, largest exponents alone, a million lanes (results/gpu.md)."""
 
 _TILE_SECONDS, _ROUNDS = 10.0, 2
 _EMPTY = 2000  # pieces without sleep
@@ -154,7 +152,7 @@ def _time(seconds: float) -> str:
 
 def page(scheduling: Sequence[Scheduling], merging: Merging) -> str:
     """The page in Markdown."""
-    cards = _time(LANES * LANE_PERIODS / (8 * CARD_RATE))
+    of_cards = LANES / CARD_RATE
     bytes_a_lane = merging.size / merging.lanes
     lines = [
         "# A chart of a billion lanes",
@@ -198,9 +196,9 @@ def page(scheduling: Sequence[Scheduling], merging: Merging) -> str:
         "computing, more nodes gain nothing: take longer tiles (`--tile`), or parts without a scheduler",
         "(`--part K/N`).",
         "",
-        f"**8 cards: {cards}** if one has as many lane-periods a second as the fastest program that we know of has",
-        f"units of time of Lorenz's flow, {CARD_RATE:.1e}. Neither flow, program nor card is ours:",
-        "an order of magnitude, and no more.",
+        f"**{CARDS} cards: {_time(of_cards / CARDS)}**, {of_cards / 3600:.1f} card-hours, from {CARD_RATE:,.0f} lanes",
+        "a second, which an H100 has of the largest exponents of such a chart, a million lanes in one run with kept",
+        "programs (`results/gpu.md`). Most of that run is the work of the host. Several cards at once were not measured.",
     ]
     return "\n".join(lines) + "\n"
 
