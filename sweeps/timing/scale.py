@@ -198,7 +198,7 @@ def page(scheduling: Sequence[Scheduling], merging: Merging) -> str:
         "",
         f"**{CARDS} cards: {_time(of_cards / CARDS)}**, {of_cards / 3600:.1f} card-hours, from {CARD_RATE:,.0f} lanes",
         "a second, which an H100 has of the largest exponents of such a chart, a million lanes in one run with kept",
-        "programs (`results/gpu.md`). Most of that run is the work of the host. Several cards at once were not measured.",
+        "programs (`results/gpu.md`). Most of that run is the work of the host. Several cards were not measured.",
     ]
     return "\n".join(lines) + "\n"
 
