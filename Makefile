@@ -72,7 +72,7 @@ paper: $(INSTALLED)
 # The figures of paper/paper.md, in its folder.
 paper-figures: $(PAPER_FIGURES)
 
-paper_diagram: CONFIG := configs/fig04.yaml
+paper_diagram: CONFIG := configs/fig04.yaml title='Bifurcation diagram at constant speed'
 paper_chart: CONFIG := configs/chart_b_d.yaml sweep.b.count=384 sweep.d.count=256
 paper_sleigh: CONFIG := configs/nonholonomic/oscillating_mass.yaml
 paper_chart: PICTURE := --size 160x140
