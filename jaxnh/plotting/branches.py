@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.colors import LinearSegmentedColormap
 
-from jaxnh.plotting.density import column_shares
+from jaxnh.plotting.density import DensityImage
 from jaxnh.plotting.frame import narrow, new_axes
 from jaxnh.plotting.groups import along_axis, parameter_of, require_variables, variables_of
 from jaxnh.plotting.labels import axis_label, is_symbol, symbol_of, words_of
@@ -106,10 +106,7 @@ def _draw_density(group: xr.Dataset, name: str, parameter: str, ax: Axes) -> np.
     if coordinate.name != parameter:
         return np.zeros(0)
     axis = coordinate.to_numpy()
-    across, up, share = column_shares(axis, points.to_numpy().reshape(len(axis), -1))
-    norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
-    ax.pcolorfast(across, up, np.ma.masked_equal(share.T, 0.0), cmap=_INK, norm=norm)
-    return across[[0, -1]]
+    return DensityImage(axis, points.to_numpy().reshape(len(axis), -1), _INK, ax).ends
 
 
 def _label(drawn: xr.DataArray) -> str:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colorizer import ColorizingArtist
-from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.colors import Colormap, ListedColormap, LogNorm
+from matplotlib.image import PcolorImage
 
 from jaxnh.exceptions import ResultError
 from jaxnh.plotting.cascade import mark_doublings
@@ -23,7 +25,7 @@ from jaxnh.plotting.style import POINT, Colour
 
 _MARKERS = 20_000  # up to so many points are drawn one by one
 _FEW = 2000  # up to which they are large
-_COLUMNS, _ROWS = 1200, 500  # a little below the pixels that a panel gets
+_COLUMNS, _ROWS = 1200, 500  # at most; a little below the pixels that a panel gets
 
 INK = ListedColormap(colormaps["magma_r"](np.linspace(0.22, 1.0, 24)))
 """Colours of shares, from few points to many; few steps print well, and files stay small."""
@@ -63,10 +65,7 @@ def density(
     elif values.size <= _MARKERS:
         scatter_points(np.repeat(axis, values.shape[1]), values.ravel(), POINT, ax)
     else:
-        across, up, share = column_shares(axis, values)
-        norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
-        image = ax.pcolorfast(across, up, np.ma.masked_equal(share.T, 0.0), cmap=INK, norm=norm)
-        _key_to_colours(image, ax)
+        _key_to_colours(DensityImage(axis, values, INK, ax), ax)
     over_axis(data, coordinate, ax, axis_label(drawn, label_of(data)))
     for cascade in cascades:
         mark_doublings(cascade, ax, str(coordinate.name))
@@ -75,8 +74,48 @@ def density(
     return ax
 
 
+class DensityImage(PcolorImage):
+    """Shares of the points of columns, with no more cells than pixels, so that none is left out where it is drawn.
+
+    An orbit is one cell high. Where axes have fewer pixels than cells, it would vanish in every row that is skipped.
+    """
+
+    def __init__(self, axis: np.ndarray, values: np.ndarray, colours: Colormap, ax: Axes) -> None:
+        """Add the image to its axes.
+
+        Args:
+            axis: (lanes,), in any order.
+            values: (lanes, points).
+        """
+        self._points, self._cells = (axis, values), (_COLUMNS, _ROWS)
+        across, up, share = column_shares(axis, values)
+        norm = LogNorm(share[share > 0].min(initial=0.5), 1.0)
+        super().__init__(ax, across, up, np.ma.masked_equal(share.T, 0.0), cmap=colours, norm=norm)
+        self.ends = across[[0, -1]]
+        ax.add_image(self)
+        self.set_clip_path(ax.patch)
+        self.set_extent((*across[[0, -1]], *up[[0, -1]]))
+
+    def make_image(self, renderer: Any, magnification: float = 1.0, unsampled: bool = False) -> Any:
+        """The image as matplotlib draws it, from as many cells as there are pixels at most."""
+        box = self.axes.bbox
+        cells = (
+            max(1, min(_COLUMNS, int(magnification * box.width))),
+            max(1, min(_ROWS, int(magnification * box.height))),
+        )
+        if cells != self._cells:
+            self._cells = cells
+            across, up, share = column_shares(*self._points, columns=cells[0], rows=cells[1])
+            self.set_data(across, up, np.ma.masked_equal(share.T, 0.0))
+        return super().make_image(renderer, magnification, unsampled)
+
+
 def column_shares(
-    axis: np.ndarray, values: np.ndarray, window: tuple[float, float] | None = None, rows: int = _ROWS
+    axis: np.ndarray,
+    values: np.ndarray,
+    window: tuple[float, float] | None = None,
+    rows: int = _ROWS,
+    columns: int = _COLUMNS,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Histogram over an axis and a variable, each column for the same number of neighbouring points of the axis.
 
@@ -85,12 +124,13 @@ def column_shares(
         values: (lanes, points); what is not finite is left out.
         window: range of the values that is drawn, a share being one of all points; None: all of them.
         rows: cells of a column.
+        columns: at most.
 
     Returns:
         Edges (columns + 1,) and (rows + 1,), and the share (columns, rows) of a column's points in each cell.
     """
     distinct, place = np.unique(axis, return_inverse=True)
-    each = math.ceil(len(distinct) / _COLUMNS)
+    each = math.ceil(len(distinct) / columns)
     edges = cell_edges(distinct)
     across = np.append(edges[:-1:each], edges[-1])
     finite = np.isfinite(values)
@@ -101,10 +141,10 @@ def column_shares(
     up = np.linspace(*window, rows + 1)
     row = np.searchsorted(up, values[finite], side="right") - 1
     column = np.broadcast_to((place // each)[:, None], values.shape)[finite]
-    columns = len(across) - 1
-    whole = np.bincount(column, minlength=columns)
+    count = len(across) - 1
+    whole = np.bincount(column, minlength=count)
     inside = (row >= 0) & (row < rows)
-    counts = np.bincount(column[inside] * rows + row[inside], minlength=columns * rows).reshape(columns, rows)
+    counts = np.bincount(column[inside] * rows + row[inside], minlength=count * rows).reshape(count, rows)
     return across, up, counts / np.maximum(whole[:, None], 1)
 
 

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-from jaxnh.plotting.density import column_shares
+from jaxnh.plotting.density import INK, DensityImage, column_shares
 
 
 def test_density_is_a_plain_count():
@@ -29,3 +31,16 @@ def test_density_of_uneven_values(b):
     assert np.all(share.max(axis=1) == 1.0)
     assert np.all(np.diff(across) > 0)
     assert np.all((across[:-1] < np.unique(b)) & (np.unique(b) < across[1:]))
+
+
+@pytest.mark.parametrize(("across", "up"), [(1.0, 1.0), (1.3, 0.7), (4.0, 4.0)])
+def test_an_orbit_is_seen_at_every_value_however_few_pixels_there_are(across, up):
+    """Of a rising orbit each column of pixels has one, in axes of fewer pixels than a density has cells, and of more."""
+    figure = Figure((4.0 * across, 3.0 * up), dpi=100)
+    canvas, ax = FigureCanvasAgg(figure), figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    ax.set_axis_off()
+    b = np.linspace(0.0, 1.0, 2000)
+    DensityImage(b, np.repeat(0.3 * b[:, None], 20, axis=1), INK, ax)
+    canvas.draw()
+    inked = np.asarray(canvas.buffer_rgba())[..., :3].min(axis=2) < 200
+    assert np.all(inked.any(axis=0))
