@@ -65,7 +65,7 @@ class Portrait:
         [legend] = self.plane.legend
         legend.update(orientation="horizontal", border_line_alpha=0.0, padding=0)
         self.plane.add_layout(legend, "above")  # off the data
-        self._path_entry = legend.items[0]
+        self._path_entry: Any = legend.items[0]
         self.camera = ColumnDataSource({name: [value] for name, value in (_CAMERA | dict(camera or {})).items()})
         self._make_space()
 

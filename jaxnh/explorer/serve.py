@@ -108,7 +108,7 @@ def make_server(
     def page() -> pn.viewable.Viewable:
         document = pn.state.curdoc
         assert document is not None
-        document.template = HEAD
+        document.template = HEAD  # pyright: ignore[reportAttributeAccessIssue] # blocks in place of Panel's own
         query = {key: values[0].decode() for key, values in pn.state.session_args.items() if key != "token"}
         holder = pn.Column(sizing_mode="stretch_width", css_classes=["whole"], stylesheets=[NARROW])
         pages: list[Page] = []
