@@ -12,6 +12,9 @@ GALLERY := oscillating_mass sleigh_with_rotor sleigh_in_a_valley roller_racer su
 PAPER_FIGURES := paper_diagram paper_chart paper_sleigh
 EFFECTS := table1 fig01 range_constant table2 fig06 range_disturbed unforced sleigh
 
+# Tests and studies start hundreds of processes; none need compile the sources of the package and of the tests anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: install atlas $(TABLES) $(FIGURES) $(RANGES) $(CHARTS) unforced governor basins branches reversal manifolds lorenz_manifold flows gallery $(addprefix gallery_,$(GALLERY)) paper paper-figures $(PAPER_FIGURES) gpu scale effects startup first_answer reference newcomer claims docs release-check test browser check_types check_tests slow hard clean
 
 install: $(INSTALLED)

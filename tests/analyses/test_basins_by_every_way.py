@@ -48,6 +48,7 @@ def test_tiles(double_well, in_memory, tmp_path):
     assert not list(tmp_path.glob("*.tiles"))
 
 
+@pytest.mark.slow  # the matrix has basins of sessions
 def test_one_group_of_a_session(tmp_path):
     asked = oscillator(tmp_path, {"x": line(0.5, 1.0, 3), "v": {"values": [0.0]}})
     whole = session_of(asked).tree()["attractors"].to_dataset()

@@ -78,6 +78,7 @@ def test_a_discrete_lorenz_attractor():
     assert np.abs(np.sort(data["multipliers"].to_numpy()[0, at, :, 0]) - np.sort(exact.real)).max() < 1e-9
 
 
+@pytest.mark.slow  # other roads are quick
 def test_multipliers_that_are_zero_are_counted_out():
     """A coordinate that each iterate puts to zero adds one, as a constraint or a level does.
 

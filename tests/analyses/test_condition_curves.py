@@ -134,6 +134,7 @@ def test_amplitude_of_an_observable(tmp_path):
     assert (nu.min(), nu.max()) == pytest.approx((0.8, 1.2))
 
 
+@pytest.mark.slow  # the bars of such curves are quick
 def test_exponents_equal_to_zero_and_their_sum(tmp_path):
     """Of z′ = (1/4 − x²)z along the circle x² + y² = μ/ν the exponent is 1/4 − μ/(2ν); that of the circle is −2μ."""
     options = "n_values: 1, ds_max: 0.2, mean: {across: 0.0}, exponent_sum: -1.0"

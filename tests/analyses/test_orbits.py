@@ -157,7 +157,8 @@ def test_leaves_of_the_henon_attractor_come_to_the_saddle_in_it_and_to_no_other(
     assert of_points[1] > 2e-4
 
 
-@pytest.mark.parametrize("m", [0.815, *(pytest.param(m, marks=pytest.mark.slow) for m in (0.83, 0.85))])
+@pytest.mark.slow  # cycles of maps are quick
+@pytest.mark.parametrize("m", [0.815, 0.83, 0.85])
 def test_leaves_of_a_discrete_lorenz_attractor_come_to_its_saddle_and_not_to_the_origin(m):
     saddles = np.array([[m - 0.3] * 3, [0.0] * 3])
     nearest, of_points = distances_from_leaves(cubic_henon, {"m": m}, {"x": 0.05, "y": 0.0, "z": 0.0}, saddles, 2048)
@@ -184,6 +185,7 @@ def test_more_cycles_of_the_henon_map():
     assert abs(float(counts["entropy"]) - 0.4651) < float(counts["entropy_error"])
 
 
+@pytest.mark.slow  # cycles of maps are quick
 def test_orbits_on_a_torus():
     """The cat map has |det(Aⁿ − 1)| = 1, 5, 16, 45 points of period n; multipliers are those of Aⁿ."""
     groups = jaxnh.Session(cat, start={"x": 0.3, "y": 0.1}).groups({"orbits": jaxnh.Orbits(max_period=4)})

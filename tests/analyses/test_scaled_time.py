@@ -73,6 +73,7 @@ analyses:
     assert np.abs(data["w_sensitivity"].sel(parameter="h") - slopes).max() < 1e-6  # third derivative times h²/6
 
 
+@pytest.mark.slow  # the matrix has curves over a shared axis
 def test_folds_of_duffings_resonance(user_flow):
     """Where the response jumps: a multiplier one of the orbit that scipy closes, and nothing else between."""
     config = """\

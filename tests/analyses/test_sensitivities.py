@@ -165,6 +165,7 @@ def system(mu=0.1, q=0.3, turn=1.0):
 """A turn about (q, 0): its multipliers have the modulus 1 + μ − q²."""
 
 
+@pytest.mark.slow  # bifurcations of Henon's map are quick
 def test_neimark_sacker_bifurcation(user_map):
     """At μ = q²: 2 q in q, and nothing in the angle of the turn."""
     config = """\

@@ -109,6 +109,7 @@ def gaps_of_tents(points, slope, order):
     return met
 
 
+@pytest.mark.slow  # saddles with one are quick
 def test_points_of_a_saddle_with_two_unstable_directions():
     """Of 64 starts none stays for five iterates, and all points stay for eight, of slopes that differ as well."""
     options = jaxnh.Transients(n_starts=64, box={"x": (0.0, 1.0), "y": (0.0, 1.0)}, saddle_points=64)

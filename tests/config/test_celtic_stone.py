@@ -123,12 +123,10 @@ def groups_of(name, *changes):
     return session_of(made).groups(dict.fromkeys(made.analyses.options()))
 
 
+@pytest.mark.slow  # equations of rolling bodies are quick
 @pytest.mark.parametrize(
     ("name", "angle", "energy"),
-    [
-        pytest.param("celtic_stone", ANGLE, 690.0, marks=pytest.mark.slow),  # the other has the same equations
-        ("discrete_lorenz", ANGLE_OF_LORENZ, 752.0),
-    ],
+    [("celtic_stone", ANGLE, 690.0), ("discrete_lorenz", ANGLE_OF_LORENZ, 752.0)],
 )
 def test_returns_beside_equations_written_anew(name, angle, energy):
     """Four returns before the motion has settled, each 1e-9 off by steps and less by rounding."""

@@ -350,6 +350,7 @@ def test_equations_of_nose_and_hoover():
     assert np.abs(np.array(jax.tree.leaves(rates))[:3] - exact).max() < EXACT
 
 
+@pytest.mark.slow  # its equations are quick
 def test_a_snakeboard_speeds_up_by_its_drive_gait():
     """Without friction √M u, M = m + J tan²φ/b², grows at the mean rate of its forcing, steadily; by `transport` as t.
 

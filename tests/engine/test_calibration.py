@@ -198,7 +198,8 @@ def test_a_section_that_is_never_met_is_refused_soon():
     assert max(kicks) < 2_000
 
 
-@pytest.mark.parametrize("analysis", [pytest.param("diagram", marks=pytest.mark.slow), "basins"])
+@pytest.mark.slow  # the matrix has basins of random starts
+@pytest.mark.parametrize("analysis", ["diagram", "basins"])
 def test_random_starts_are_among_the_samples(analysis):
     """Far beyond the start of the lanes, where their own steps are far too few.
 

@@ -303,7 +303,8 @@ def written(experiment, path, check=lambda: None, **how):
 
 
 @pytest.mark.usefixtures("any_size")
-@pytest.mark.parametrize("kind", some_slow({kind: kind for kind in SWEEPS}, "two axes"))
+@pytest.mark.slow  # the bits of a lane alone are quick
+@pytest.mark.parametrize("kind", SWEEPS)
 def test_files_are_the_same_in_parts_and_resumed(kind, tmp_path):
     """Whatever runs are cut into, each lane keeps its class and its bits."""
     experiment = SWEEPS[kind]()

@@ -133,6 +133,7 @@ def test_a_moved_parameter_is_that_of_the_saved_config(plane):
     assert jaxnh.Experiment.from_text(plane.batch_text(view)).system.c == 1.2
 
 
+@pytest.mark.slow  # planes of flows are quick, and maps are in the matrix
 def test_a_map_has_no_solver_to_write_down(tmp_path):
     """A click gives its iterates, and the batch job of a view is the same to the bit."""
     (tmp_path / "own.py").write_text(HENON)

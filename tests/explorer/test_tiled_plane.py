@@ -115,6 +115,7 @@ def test_a_mixed_pixel_is_paler_by_the_share_of_the_others():
     assert np.all(paled[..., 3] == 255)
 
 
+@pytest.mark.slow  # its parts are quick, each in small
 def test_a_large_plane_is_first_a_sample_then_its_means_and_the_file_stays(chart):
     before = chart.read_bytes()
     source = open_recording(chart)

@@ -74,6 +74,7 @@ def test_lorenz_over_two_parameters():
     assert not any(leading(orbit.departure).shilnikov for orbit in points_of(curve))
 
 
+@pytest.mark.slow  # fronts and flips in closed form are quick
 def test_curves_that_were_cut_are_one():
     """Lorenz's curve from its middle and from either end of that; not one that ends in front of the other."""
     problem, begun, whole = lorenz_curve()

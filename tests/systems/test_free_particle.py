@@ -56,6 +56,7 @@ def test_free_particle_is_equation_1():
     np.testing.assert_allclose(found.v, expected, rtol=1e-14)
 
 
+@pytest.mark.slow  # the matrix has the free particle
 def test_free_particle_keeps_its_energy():
     """Without damping and forcing H = v²/2 + V is constant; with damping it falls by a ∫ v² dt, and so at all."""
     b = np.array([0.2, 0.6])

@@ -203,6 +203,7 @@ def test_rotation_matrix_has_the_same_constants():
 # ---- nonlinear constraints
 
 
+@pytest.mark.slow  # the matrix has quasi-velocities
 def test_nonlinear_constraint_in_polar_velocities():
     """A particle held at a speed: radial and tangential velocities against Cartesian ones, by the same principle."""
 

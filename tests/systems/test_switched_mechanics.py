@@ -97,6 +97,7 @@ def test_a_constraint_that_begins_takes_a_rank():
     assert values[-1] < 1e-14 * values[0] < 1e-13 * values[2] * 1e3
 
 
+@pytest.mark.slow  # the matrix has constraints that come and go
 def test_between_constraints_a_body_is_free():
     """Lifted before it starts, a blade lets the body turn evenly and its centre go straight: to rounding."""
     flow = flow_of(lambda phase: switched_sleighs.by_clock(0.3, 0.0, phase) | free(), phase=np.pi)
@@ -212,6 +213,7 @@ def impact_as_rates(w=2.8, r=0.8):
     }
 
 
+@pytest.mark.slow  # bodies that meet walls are in the matrix
 def test_a_wall_is_that_of_a_right_hand_side():
     """States, derivatives and volume of an oscillator at a wall, by its restitution and by rates; the energy lost."""
     own = {"w": 2.8, "r": 0.8}
