@@ -170,7 +170,7 @@ class _Evaluation:
             result[i, j] = (
                 functools.reduce(lax.add, [lax.mul(typed(a), typed(b)) for a, b in pairs]) if pairs else np.float64(0.0)
             )
-        return result.reshape(*kept[0], *kept[1])
+        return result.reshape((*kept[0], *kept[1]))
 
     def _count(self, equations: int) -> None:
         self._equations += equations

@@ -28,6 +28,14 @@ def least(xp):
     return lambda y, t: xp.min(xp.asarray(MATRIX) * y, axis=1) + xp.max(y)
 
 
+def inner(xp):
+    return lambda y, t: xp.dot(y, xp.cos(y)) * y + xp.sum(y) * xp.asarray(MATRIX[0])
+
+
+def row(xp):
+    return lambda y, t: y @ xp.asarray(MATRIX) + (y @ xp.asarray(MATRIX) @ y) * t
+
+
 def picked(xp):
     return lambda y, t: xp.concatenate([y[1:] * y[0], y[::-1][:1]])
 
@@ -47,7 +55,7 @@ def users_settings():
         yield
 
 
-FUNCTIONS = [ring, product, whole_powers, least, picked, chosen, outer]
+FUNCTIONS = [ring, product, inner, row, whole_powers, least, picked, chosen, outer]
 
 
 def in_jax(function):
