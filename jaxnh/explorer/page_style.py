@@ -26,7 +26,7 @@ table.lane td:first-child { color: #666; white-space: nowrap; }
 HEAD = """\
 {% block preamble %}<meta name="viewport" content="width=device-width, initial-scale=1">{% endblock %}
 """
-"""What the head of the page has besides: on a telephone a pixel of the page is one of its screen's."""
+"""Additions to the head of the page: on a telephone a pixel of the page is one of its screen's."""
 
 NARROW = """
 @media (max-width: 900px) {

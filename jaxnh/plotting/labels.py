@@ -21,7 +21,7 @@ def coordinate_of(axis: str) -> str:
 
 
 def is_angle(variable: xr.DataArray) -> bool:
-    """Whether values of a variable are angles from -pi to pi."""
+    """Return whether values of a variable are angles from -pi to pi."""
     return str(variable.attrs.get("long_name", "")).startswith("angle ")
 
 
