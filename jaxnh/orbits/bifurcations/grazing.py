@@ -50,7 +50,7 @@ class ArcSequence(NamedTuple):
 
     @property
     def events(self) -> int:
-        """How many walls and surfaces the orbit passes."""
+        """Number of walls and surfaces that the orbit passes."""
         return int(np.sum(self.event < self.side.shape[1]))
 
     def same_as(self, other: ArcSequence) -> bool:
@@ -171,7 +171,7 @@ class GrazingEquations(EquationsOfPaths):
         return GrazingOrbit(self._sequence, start, length, values, self.multipliers(blocks[None])[0], rounding)
 
     def missing(self, orbit: GrazingOrbit) -> Float[np.ndarray, " rows"]:
-        """What is missing at an orbit of another problem, in its units."""
+        """Residual at an orbit of another problem, in its units."""
         return self.evaluate(self.unknowns(orbit.start, orbit.length, orbit.values)[None]).residual[0]
 
     def rate(
@@ -192,7 +192,7 @@ class GrazingEquations(EquationsOfPaths):
         return float(-row @ change), float(np.abs(row) @ error)
 
     def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
-        """What is missing to an orbit, derivatives of each arc, and those of all in the unknowns."""
+        """Residual of an orbit, derivatives of each arc, and those of all in the unknowns."""
         start, length, values = self.parts(z)
         (lanes, m, e), q, sequence = start.shape, values.shape[1], self._sequence
         flat = (start.reshape(-1, e), length.ravel(), np.tile(sequence.side, (lanes, 1)))
