@@ -54,7 +54,7 @@ def system(force=8.0):
 
 
 class Scene(NamedTuple):
-    """What is run.
+    """A config that is timed.
 
     Attributes:
         config: its file in a checkout, or its text.

@@ -44,7 +44,7 @@ _ALIGNED = 0.5  # determinant of the cosines between them
 
 
 class LeastAngles(NamedTuple):
-    """What a search has found of each lane, not a number where none was made.
+    """Results of a search by lane, not a number where none was made.
 
     Attributes:
         angle: the smallest angle, (lanes,), rad.
@@ -84,7 +84,7 @@ class SearchedMotions(NamedTuple):
 
 
 class _Scene(NamedTuple):
-    """What is searched.
+    """Scene of a search.
 
     Attributes:
         batch: lanes.

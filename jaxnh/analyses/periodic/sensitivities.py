@@ -38,10 +38,10 @@ from jaxnh.orbits.shooting import close_orbits
 from jaxnh.systems.flow import Parameters
 
 ROUNDING = 16.0 * np.finfo(float).eps
-"""Of a derivative, relative to it: sums and quotients that it is made of."""
+"""Rounding of a derivative, relative to it: of the sums and quotients that it is made of."""
 
 SMALLEST_SHIFT = 2.0**-15
-"""Of a parameter, in its size, by which it is asked whether the system exists nearby."""
+"""Shift of a parameter, in its size, by which it is asked whether the system exists nearby."""
 
 Numbers = tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " numbers"]]
 """Derivatives in some parameters, and their errors."""
