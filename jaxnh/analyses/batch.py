@@ -307,6 +307,20 @@ class LaneRunner(Protocol):
         """Return function(*shared, state) of the states of `record`, (lanes, count, …), and the last of them."""
         ...
 
+    def summarise(
+        self,
+        maps: Maps,
+        count: int,
+        lanes: tuple[State, Parameters],
+        beside: Any,
+        function: Callable[..., Result],
+        static: tuple[Any, ...] = (),
+        *,
+        tile: int | None = None,
+    ) -> Result:
+        """Return function(maps, (states, beside), p, *static) of the states of `record`, which stay on the device."""
+        ...
+
     def chain(self, links: Sequence[Link], lanes: tuple[Any, ...], *, tile: int | None = None) -> list[Any]:
         """Return what comes to the host of each of some functions, each of what the one before leaves on the device."""
         ...

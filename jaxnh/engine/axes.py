@@ -56,9 +56,10 @@ def points_together(
     """The lanes at places along each axis, at as many values of the shared axes as these have, as a family."""
     shared = [place for axis, place in zip(axes, places, strict=True) if axis.kind == "shared"]
     group = np.unique(np.stack(shared), axis=1, return_inverse=True)[1].ravel()
-    members = [np.flatnonzero(group == k) for k in range(int(group.max()) + 1)]
+    order = np.argsort(group, kind="stable")
+    members = np.split(order, np.cumsum(np.bincount(group))[:-1])
     parts = [points(experiment, axes, [place[lanes] for place in places]) for lanes in members]
-    back = np.argsort(np.concatenate(members), kind="stable")
+    back = np.argsort(order, kind="stable")
 
     def joined(*leaves: np.ndarray) -> np.ndarray:
         return np.concatenate(leaves)[back]

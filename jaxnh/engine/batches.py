@@ -89,13 +89,16 @@ def lanes_of(piece: Piece, level: Level | None) -> int:
     return piece.lanes if level is None else int(level.wanted_in(piece).sum())
 
 
-def shared_values_a_tile(experiment: Experiment, axes: Sequence[Axis], requested: Requested, solver: str) -> int:
+def shared_values_a_tile(
+    experiment: Experiment, axes: Sequence[Axis], requested: Requested, solver: str, *, on_card: bool = False
+) -> int:
     """Return how many values of the shared axes a tile may have: of all of them, or else 1."""
     shared = [range(len(axis.values)) for axis in axes if axis.kind == "shared"]
     many = math.prod(map(len, shared)) > _MOST_COMPARED
     if many or not stackable(experiment, axes, requested, solver):
         return 1
-    return GROUPS if _alike(experiment, axes)(set(itertools.product(*shared))) else 1
+    most = _GROUPS_ON_CARD if on_card else GROUPS
+    return most if _alike(experiment, axes)(set(itertools.product(*shared))) else 1
 
 
 def _alike(experiment: Experiment, axes: Sequence[Axis]) -> Callable[[set[tuple[int, ...]]], bool]:

@@ -127,9 +127,11 @@ def compute(
     if level is not None:
         wanted = np.concatenate([level.wanted_in(piece) for piece in batch])
         places = tuple(place[wanted] for place in places)
-    by_class = job.plan.step_classes and not line
-    args = sweep, batch[0].names, places, lanes
-    groups = _by_class(*args) if by_class else _groups(*args, line=line)
+    order = None if line or not lanes.on_card else _order_on_card(axes, places)
+    args = sweep, batch[0].names, places if order is None else tuple(place[order] for place in places), lanes
+    groups = _by_class(*args) if job.plan.step_classes and not line else _groups(*args, line=line)
+    if order is not None:
+        groups = {name: join_lanes([data], np.argsort(order)) for name, data in groups.items()}
     after = seconds_spent(lanes, time.perf_counter() - began)
     done, first = [], 0
     for piece in batch:
@@ -199,6 +201,13 @@ def _groups(
         few = executor_for(analysis, options[name], count or experiment.sweep.lanes, lanes, plan)
         groups[name] = analysis.run(options[name], lane_batch, few, *needed)
     return groups
+
+
+def _order_on_card(axes: Sequence[Axis], places: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Order of lanes by what they share, in which neighbours read the same tables; None if they are in it."""
+    shared = [place for axis, place in zip(axes, places, strict=True) if axis.kind == "shared"]
+    order = np.lexsort(shared[::-1]) if shared else np.arange(0)
+    return order if np.any(order[1:] < order[:-1]) else None
 
 
 def _by_class(

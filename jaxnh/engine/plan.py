@@ -243,6 +243,8 @@ def job_of(
     machine: Mapping[str, str],
     tile: int | None = None,
     parts: int = 1,
+    *,
+    on_card: bool = False,
 ) -> Job:
     """Return the job of a sweep: its cutting, with all that has been decided for it.
 
@@ -250,18 +252,20 @@ def job_of(
         machine: what computes it (`xla_options.machine`).
         tile: lanes a tile in place of those that the work of a lane suggests.
         parts: number of parts that share the tiles: there are at least as many tiles.
+        on_card: whether graphics cards compute it.
     """
     count = int(np.prod([len(axis.values) for axis in axes]))
     split = [(analysis, options) for analysis, options in requested if analysis.independent(options)]
     if tile is None:
-        tile = tile_lanes(work_of(split, count), sum(analysis.numbers(options) for analysis, options in split), count)
+        numbers = sum(analysis.numbers(options) for analysis, options in split)
+        tile = tile_lanes(work_of(split, count), numbers, count, on_card=on_card)
         parts *= _TILES_A_PART if parts > 1 else 1
     cutting = Cutting(
         order=tuple(analysis.name for analysis, _ in requested),
         independent=tuple(analysis.name for analysis, _ in split),
         axes=tuple((axis.dim, len(axis.values), axis.kind == "shared") for axis in axes),
         tile=min(tile, -(-count // parts)),
-        shared_values=shared_values_a_tile(experiment, axes, requested, plan.solver.name),
+        shared_values=shared_values_a_tile(experiment, axes, requested, plan.solver.name, on_card=on_card),
         wholes=tuple((analysis.name, *analysis.whole.brings) for analysis, _ in requested if analysis.whole),
         levels=experiment.levels.count if experiment.levels else 1,
         refine=experiment.levels.refine if experiment.levels else "",
@@ -304,7 +308,8 @@ def decide(
         with lanes.stage("accuracy: settings of analyses on sample lanes", 0):
             chosen = choose(experiment, axes, plan, requested, lanes)
         calibrations.keep(name, Decision(numerical_plan(plan, chosen), lanes.accounts.fastest))
-    return job_of(experiment, axes, plan, chosen, requested, machine or lanes.machine, tile, parts)
+    how = machine or lanes.machine, tile, parts
+    return job_of(experiment, axes, plan, chosen, requested, *how, on_card=lanes.on_card)
 
 
 def check_size(

@@ -288,7 +288,7 @@ class Session:
         plan = in_quickest_form(experiment, axes, plan, requested, on_card=lanes.on_card)
         plan = with_step_classes(experiment, axes, plan, requested, lanes)
         chosen = choose(experiment, axes, plan, requested, lanes)
-        job = job_of(experiment, axes, plan, chosen, requested, lanes.machine)
+        job = job_of(experiment, axes, plan, chosen, requested, lanes.machine, on_card=lanes.on_card)
         whole, of_lanes = dict[str, xr.Dataset](), dict[str, xr.Dataset]()
         for stage in job.stages():
             level = level_of(stage.cutting, whole, of_lanes)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 _WORK = 2e6  # lane-periods a tile: up to ten seconds on one core, of the fastest maps half a second
 _LARGE, _MANY = 4 * _WORK, 256  # likewise, where there are still so many tiles: each is a file
+_FEWEST_TILES = 16  # on a graphics card, which does them in a fraction of a second: two for each of eight cards
 _BYTES = 1 << 26  # of results a tile
 _MOST_TILES = 1 << 14
 _FEWEST_LANES = 16
@@ -166,15 +167,16 @@ def tile_shape(sizes: Sequence[int], most: int) -> tuple[int, ...]:
     return tuple(reversed(shape))
 
 
-def tile_lanes(work: float, numbers: float, lanes: int) -> int:
-    """Lanes a tile, from the config alone: a power of two for some seconds of work and not too many bytes.
+def tile_lanes(work: float, numbers: float, lanes: int, *, on_card: bool = False) -> int:
+    """Lanes a tile, from config and kind of device: a power of two for some seconds of work and not too many bytes.
 
     Args:
         work: lane-periods a lane.
         numbers: numbers that a lane leaves.
         lanes: lanes of the sweep.
     """
-    tile = max(_WORK, min(_LARGE, work * lanes / _MANY), work * lanes / _MOST_TILES)
+    many = work * lanes / _FEWEST_TILES if on_card else min(_LARGE, work * lanes / _MANY)
+    tile = max(_WORK, many, work * lanes / _MOST_TILES)
     wanted = min(tile / max(work, 1e-9), _BYTES / (8 * max(numbers, 1)), 1 << 20)
     return max(_FEWEST_LANES, 1 << (max(int(wanted), 1).bit_length() - 1))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import os
@@ -26,7 +27,7 @@ _TOGETHER = 32  # tables made at once, in 2.2 ms each where one alone takes 3.9;
 _GRIDS = 64  # of groups of clocks, a megabyte each at most
 
 _TABLES: dict[tuple[_Clock, IsokineticSplitting, int], Table] = {}  # the last `_KEPT`, in this order
-_READING = threading.Lock()
+_READING, _MAKING = threading.Lock(), threading.Lock()
 
 
 class _Clock(NamedTuple):
@@ -92,12 +93,19 @@ def processed_table(
 def whole_period(system: IsokineticParticle, solver: IsokineticSplitting, steps: int, *, smallest: int = 1) -> Table:
     """`processed_table` of the period from 0, made once for the maps of a period and of its parts."""
     rows, count, rest = whole_periods([system], solver, steps)[0]
-    missing = (1 << (smallest - 1).bit_length()) - len(rows)
-    return (np.pad(rows, [(0, missing), (0, 0)]) if missing > 0 else rows), count, rest
+    roomy = np.zeros((max(len(rows), 1 << (smallest - 1).bit_length()), rows.shape[1]))
+    roomy[: len(rows)] = rows
+    return roomy, count, rest
 
 
 def whole_periods(systems: Sequence[IsokineticParticle], solver: IsokineticSplitting, steps: int) -> list[Table]:
     """The table of `whole_period` of each system; those that differ in c and d alone are made together, and kept."""
+    with _MAKING if len(systems) > 1 else contextlib.nullcontext():  # batches side by side may need the same ones
+        return _whole_periods(systems, solver, steps)
+
+
+def _whole_periods(systems: Sequence[IsokineticParticle], solver: IsokineticSplitting, steps: int) -> list[Table]:
+    """`whole_periods`, of which a thread may make tables that another makes too."""
     keys = [(_clock_of(system), solver, steps) for system in systems]
     with _READING:
         tables = {key: _TABLES[key] for key in keys if key in _TABLES}

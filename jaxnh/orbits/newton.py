@@ -15,11 +15,11 @@ from jaxtyping import Float, Int
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.systems.chart import Wrap
 
-_NEWTON_STEPS = 12
+NEWTON_STEPS = 12
 # Residuals and steps in sizes of the motion.
-_NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the rounding floor
-_LARGEST_STEP = 0.25
-_PATIENCE, _NEAR = 4, 1e-2  # after so many steps a lane with a residual above this is given up
+NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the rounding floor
+LARGEST_STEP = 0.25
+PATIENCE, NEAR = 4, 1e-2  # after so many steps a lane with a residual above this is given up
 # Gauss–Lobatto rule of five points on [−1, 1], exact to degree 7.
 _NODES = np.array([-1.0, -math.sqrt(3 / 7), 0.0, math.sqrt(3 / 7), 1.0])
 _WEIGHTS = np.array([0.1, 49 / 90, 32 / 45, 49 / 90, 0.1])
@@ -73,13 +73,13 @@ def find_orbits(
         image, monodromy[open_], _ = images(u[open_], open_)
         missing[open_] = wrap(u[open_] - image)
         residual[open_] = np.max(np.abs(missing[open_] / size[open_]), axis=1)
-        hopeless = (steps >= _PATIENCE) & (residual > _NEAR)
-        unfinished = ~last & (steps < _NEWTON_STEPS) & np.isfinite(residual) & ~hopeless
+        hopeless = (steps >= PATIENCE) & (residual > NEAR)
+        unfinished = ~last & (steps < NEWTON_STEPS) & np.isfinite(residual) & ~hopeless
         open_ = open_[unfinished[open_]]
-        last[open_] = residual[open_] < _NEWTON_TOLERANCE
+        last[open_] = residual[open_] < NEWTON_TOLERANCE
         step = solve(monodromy[open_] - np.eye(d), missing[open_])
         length = np.max(np.abs(step / size[open_]), axis=1)
-        u[open_] += step * np.where(length > _LARGEST_STEP, _LARGEST_STEP / length, 1.0)[:, None]
+        u[open_] += step * np.where(length > LARGEST_STEP, LARGEST_STEP / length, 1.0)[:, None]
         steps[open_] += 1
     return Orbit(u, residual, monodromy, steps)
 
@@ -152,7 +152,7 @@ def find_doubled(
         at.square[open_] = np.where(moved > 0.0, moved, branches.square / 16)
         before, length[open_] = length[open_], np.max(np.abs(step), axis=1)
         steps[open_] += 1
-        settled[open_] = length[open_] < _NEWTON_TOLERANCE
+        settled[open_] = length[open_] < NEWTON_TOLERANCE
         open_ = open_[~(settled[open_] & (length[open_] >= 0.25 * before)) & ~np.isnan(length[open_])]
         if not len(open_):
             break

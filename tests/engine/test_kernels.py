@@ -197,6 +197,7 @@ def _settle(rate, x):
     ("analysis", "options", "names"),
     [
         ("diagram", {"transient": 8, "strobes": 4}, ["x1"]),
+        ("period", {"transient": 8, "max_period": 2}, ["period", "multiplier"]),
         pytest.param(
             "lyapunov",
             {"transient": 8, "periods": 16, "exponents": 1},

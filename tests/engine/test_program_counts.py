@@ -66,7 +66,7 @@ def test_programs_of_table1():
         "iterate": 2,
         "record": 1,
         "_state_at": 1,
-        "_observe": 2,
+        "observe_states": 2,
         "derivatives": 3,
         "section_map": 1,
     }

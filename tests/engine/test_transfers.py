@@ -66,7 +66,7 @@ def test_numbers_of_a_chart_that_come_to_the_host(other):
     records = [call for call in calls if call[0][0][0] == "record"]
     assert records
     for (_, nothing), ((name, (points, _)), numbers) in records:
-        assert (name, nothing, numbers) == ("_observe", 0, POINT * points + STATE)
+        assert (name, nothing, numbers) == ("observe_states", 0, POINT * points + STATE)
     growth = [[numbers for _, numbers in call] for call in calls if call[0][0][0] == "advance"]
     whole = STATE + TANGENT + SUMS + 1
     assert {len(numbers) for numbers in growth} == {1, BLOCKS - 1}

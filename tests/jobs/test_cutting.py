@@ -29,6 +29,18 @@ def test_lanes_a_tile(periods, numbers, lanes, tile):
     assert tile_lanes(periods, numbers, lanes) == tile
 
 
+@pytest.mark.parametrize(
+    ("periods", "numbers", "lanes", "tile"),
+    [
+        (896, 16, 1 << 20, 65536),  # sixteen tiles: two batches for each of eight cards
+        (896, 16, 4096, 2048),  # as on the host, where there are few lanes
+        (896, 16 * 65536, 1 << 20, 16),  # no more bytes a tile than on the host
+    ],
+)
+def test_lanes_a_tile_on_a_card(periods, numbers, lanes, tile):
+    assert tile_lanes(periods, numbers, lanes, on_card=True) == tile
+
+
 def test_pieces_cover_the_sweep():
     found = job().cutting.pieces()
     assert [(piece.begin, piece.end) for piece in found] == [((0,), (4,)), ((4,), (8,)), ((8,), (10,)), ((0,), (10,))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest import mock
 
 import jax
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxnh.analyses.periodic.newton_on_lanes import images, orbits
+from jaxnh.analyses.periodic.newton_on_lanes import images, least_period, orbits
+from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits import cyclic
@@ -117,6 +119,24 @@ def test_lane_that_finds_nothing_says_so(lanes, strobes):
     orbit = orbits(lanes, strobes["constant"], starts, {"b": np.full(4, 5.58)}, 1)
     assert np.all(apart(orbit.u[[0, 3]], point) < 1e-8)
     assert not np.any(orbit.residual[1:3] < 1e-7)
+
+
+def test_newton_as_one_program(lanes, strobes):
+    """As a card takes all steps at once: the host's orbits and numbers of steps, and least periods, lost lanes too."""
+    points = attractor("constant", 5.505, 2)
+    starts = np.concatenate([points[:1] + 0.003 * np.arange(4)[:, None], [[50.0, -80.0, 1.0], [math.nan] * 3]])
+    p, n, size = {"b": np.full(6, 5.505)}, np.array([2, 4, 1, 6, 2, 2]), np.ones_like(starts)
+    host = orbits(lanes, strobes["constant"], starts, p, n)
+    periods = least_period(lanes, strobes["constant"], points[[0] * 6], p, 2 * n, size)
+    with mock.patch.object(LaneExecutor, "on_card", property(lambda self: True)):
+        found = orbits(lanes, strobes["constant"], starts, p, n)
+        least = least_period(lanes, strobes["constant"], points[[0] * 6], p, 2 * n, size)
+    assert list(host.residual < 1e-9) == list(found.residual < 1e-9) == [True, True, True, True, False, False]
+    assert list(host.steps) == list(found.steps)
+    assert list(periods) == list(least) == [2, 2, 2, 2, 2, 2]
+    there = host.residual < 1e-9
+    np.testing.assert_allclose(found.u[there], host.u[there], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(found.monodromy[there], host.monodromy[there], rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("n", [1, 16])

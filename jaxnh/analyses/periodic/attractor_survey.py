@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,12 +25,13 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     orbits,
     section_distance,
 )
-from jaxnh.analyses.periodic.recurrences import CLOSE, Recurrence, recurrences
+from jaxnh.analyses.periodic.recurrences import CLOSE, Recurrence, recurrences, recurs_after
 from jaxnh.analyses.section_points import at_rest, points_and_end, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import find_doubled
+from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
@@ -38,6 +39,7 @@ _SMALLEST = 1e-4  # of the size at the start: branches, followed to 1e-9 of a si
 _NEARLY_NEUTRAL = 1e-3  # |1 − μ| below which an orbit of even period may be one that has just been born in a doubling
 # Lanes are looked at first after this share of the transient, for orbits no longer than this.
 _EARLY, _EARLY_LIMIT = 8, 16
+_MOST_KEPT = 128  # points of a lane that stay on a card: half a million lanes have gigabytes of them
 
 
 class Survey(NamedTuple):
@@ -196,14 +198,12 @@ def _survey_at(
     tile: int | None = None,
 ) -> EarlySurvey:
     """Survey lanes some periods later, from 2 limit points of each."""
-    strobe, count, p = batch.strobe(), batch.count, dict(batch.p)
-    (wait, limit, tries), cost = timing, timing.periods
-    with lanes.stage(f"{label}: {count} lanes to their attractors", count * cost):
-        points, end = points_and_end(batch, lanes, states_at(batch, lanes, u, tile), wait, 2 * limit, tile)
-    size = np.ones_like(u) if batch.chart.dimensionless else motion_sizes(batch, lanes, points, end)
-    recurs = recurrences(batch.chart, lanes, points, size, Recurrence(limit, least, only_doublings))
-    period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(points[:, 0])
-    failed |= ~np.all(np.isfinite(points), axis=(1, 2))
+    strobe, p, tries = batch.strobe(), dict(batch.p), timing.tries
+    with lanes.stage(f"{label}: {batch.count} lanes to their attractors", batch.count * timing.periods):
+        seen = _look(batch, lanes, u, timing, Recurrence(timing.limit, least, only_doublings), tile)
+    size, recurs = seen.size, seen.recurs.T
+    period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(seen.first)
+    failed |= ~seen.finite
     rank, first, last = np.cumsum(recurs, axis=0), 1, 1
     while first <= tries and np.any(rank[-1, period == 0] >= first):
         # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other.
@@ -231,7 +231,69 @@ def _survey_at(
         residual[lanes_settled], monodromy[lanes_settled] = exact.residual, exact.monodromy
         multiplier[lanes_settled] = largest[settled]
         multiplier[lanes_settled[shorter]] = largest_multiplier(exact.monodromy[shorter])
-    return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, failed, size), points[:, -1])
+    return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, failed, size), seen.last)
+
+
+class _Look(NamedTuple):
+    """What points of lanes tell.
+
+    Attributes:
+        first, last: of the points, (lanes, d).
+        finite: whether all of them are, (lanes,).
+        size: of the motion, (lanes, d).
+        recurs: whether each number of periods may be one after which they recur, (lanes, periods).
+    """
+
+    first: Float[np.ndarray, "lanes d"]
+    last: Float[np.ndarray, "lanes d"]
+    finite: Bool[np.ndarray, " lanes"]
+    size: Float[np.ndarray, "lanes d"]
+    recurs: Bool[np.ndarray, "lanes periods"]
+
+
+def _look(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes d"],
+    timing: Timing,
+    sought: Recurrence,
+    tile: int | None,
+) -> _Look:
+    """Look at 2 limit points of lanes some periods later, on a card where they are: nothing of a lane is larger."""
+    count, state, sized = 2 * timing.limit, states_at(batch, lanes, u, tile), not batch.chart.dimensionless
+    if lanes.on_card and count <= _MOST_KEPT:
+        strobe, p = batch.strobe(), dict(batch.p)
+        state = lanes.iterate(strobe, timing.wait, (state, p), tile=tile) if timing.wait else state
+        beside = _least_size(batch, lanes) if sized else ()
+        static = count, sought, None if batch.flow.autonomous else _radian(batch)
+        seen = lanes.summarise(strobe, count, (state, p), beside, _look_at_lane, static, tile=tile)
+        return _Look(*map(np.asarray, seen))
+    points, end = points_and_end(batch, lanes, state, timing.wait, count, tile)
+    size = motion_sizes(batch, lanes, points, end) if sized else np.ones_like(u)
+    recurs = recurrences(batch.chart, lanes, points, size, sought).T
+    return _Look(points[:, 0], points[:, -1], np.all(np.isfinite(points), axis=(1, 2)), size, recurs)
+
+
+def _look_at_lane(
+    strobe: ReturnMap,
+    carried: tuple[State, Any],
+    p: Parameters,
+    count: int,
+    sought: Recurrence,
+    radian: float | None,
+) -> tuple[Array, ...]:
+    """The parts of `_Look` of so many states of one lane; `radian` is the time of one, None without a clock."""
+    states, least = carried
+    points, chart = jax.vmap(strobe.chart.point)(jax.tree.map(lambda x: x[:count], states)), strobe.chart
+    size = jnp.ones_like(points[0])
+    if not chart.dimensionless:
+        size = jnp.maximum(jnp.max(jnp.abs(points), axis=0), least)
+        if radian is not None:
+            u, rate = _point_and_rate(strobe, jax.tree.map(lambda x: x[count - 1], states), p)
+            size = jnp.maximum(size, jnp.maximum(jnp.abs(u), jnp.abs(rate) * radian))
+        size = _usable_sizes(chart, size, jnp)
+    finite = jnp.all(jnp.isfinite(points))
+    return points[0], points[-1], finite, size, recurs_after(chart, points, size, sought)
 
 
 def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, survey: Survey) -> Survey:
@@ -271,18 +333,32 @@ def motion_sizes(
     vanishes, all of that decays for ever: it is never less than a small share of the same at the start of the lane.
     Where that is zero too, one.
     """
-    chart, strobe, p, radian = batch.chart, batch.strobe(), dict(batch.p), batch.flow.period / (2 * np.pi)
-
-    def at(state: State) -> Float[np.ndarray, "lanes d"]:
-        u, rate = lanes(_point_and_rate, (strobe,), (state, p))
-        return np.maximum(np.abs(u), np.abs(rate) * radian)
-
     size = np.max(np.abs(points), axis=1)
     if not batch.flow.autonomous:
-        size = np.maximum(size, at(end))
-    size = np.maximum(size, _SMALLEST * at(batch.start))
-    return np.where(~np.array(chart.angles) & (size > 0.0) & (size < np.inf), size, 1.0)
+        size = np.maximum(size, _extent(batch, lanes, end))
+    return _usable_sizes(batch.chart, np.maximum(size, _least_size(batch, lanes)), np)
+
+
+def _least_size(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
+    """The smallest size of the motion of each lane, by its start."""
+    return _SMALLEST * _extent(batch, lanes, batch.start)
+
+
+def _extent(batch: LaneBatch, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
+    """The larger of each section coordinate of states and of its rate over a radian of the period."""
+    u, rate = lanes(_point_and_rate, (batch.strobe(),), (state, dict(batch.p)))
+    return np.maximum(np.abs(u), np.abs(rate) * _radian(batch))
 
 
 def _point_and_rate(strobe: ReturnMap, state: State, p: Parameters) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
     return strobe.chart.point(state), jnp.stack(rates(strobe.system, state, p))
+
+
+def _radian(batch: LaneBatch) -> float:
+    """The time of a radian of the period."""
+    return float(batch.flow.period / (2 * np.pi))
+
+
+def _usable_sizes(chart: Chart, size: Any, xp: Any) -> Any:
+    """Sizes (..., d), one of an angle and where they are none."""
+    return xp.where(~np.array(chart.angles) & (size > 0.0) & (size < np.inf), size, 1.0)

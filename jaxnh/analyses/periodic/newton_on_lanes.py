@@ -1,6 +1,7 @@
 """Newton on periodic orbits of many lanes at once: orbits, their least periods and multipliers.
 
-Which lanes share a tile is decided here; one lane's step is `orbits/newton.py`.
+Which lanes share a tile is decided here; one lane's step is `orbits/newton.py`, and on a card all steps of a lane are
+one program (`orbits/newton_program.py`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits.multipliers import eigenvalues
 from jaxnh.orbits.newton import Images, Orbit, find_orbits
+from jaxnh.orbits.newton_program import MOST_COORDINATES, find_least_period, find_orbit
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
 
@@ -44,18 +46,23 @@ def orbits(
     """
     n = np.broadcast_to(np.asarray(n, np.int32), len(u))
     size = np.ones_like(u) if size is None else size
+    if _in_programs(lanes, strobe):
+        return lanes(find_orbit, (strobe,), (n, u, size, p))
 
     def of(lane: Int[np.ndarray, " group"], tile: int) -> Orbit:
         at = images(lanes, strobe, select(p, lane), n[lane], tile)
         return find_orbits(at, u[lane], size[lane], strobe.chart.wrap)
 
     order = np.argsort(n, kind="stable")
-    if lanes.on_card:  # whose threads do not wait for each other
-        return select(of(order, ORBIT_TILE), np.argsort(order))
     short, long = order[n[order] <= _SHORT], order[n[order] > _SHORT]
     groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
     orbits_by_group = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
     return select(orbits_by_group, np.argsort(np.concatenate([lane for lane, _ in groups])))
+
+
+def _in_programs(lanes: LaneRunner, strobe: Maps) -> bool:
+    """Return whether all of Newton is a program: on a card, whose threads do not wait for each other."""
+    return lanes.on_card and strobe.chart.dimension <= MOST_COORDINATES
 
 
 def images(
@@ -95,6 +102,9 @@ def least_period(
     All such d are multiples of the least, so that prime factors are taken off n one by one for as long as u comes
     back. A lane that was still on its way may miss its orbit at d and meet it at a multiple.
     """
+    if _in_programs(lanes, strobe):
+        n = np.broadcast_to(np.asarray(n, np.int32), len(u))
+        return np.array(lanes(find_least_period, (strobe,), (n, u, size, p), static=(CONVERGED,)), int)
     period = np.array(np.broadcast_to(n, len(u)))
     factor = _prime_factors(period, np.ones_like(period))
     while len(active := np.flatnonzero(factor)):

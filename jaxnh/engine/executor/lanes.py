@@ -14,6 +14,7 @@ from jaxnh.analyses.batch import Link, select
 from jaxnh.engine.executor.accounts import Accounts
 from jaxnh.engine.executor.grouped_blocks import evaluate_block, evaluate_in_group, group_into_blocks
 from jaxnh.engine.executor.programs import Programs
+from jaxnh.engine.executor.recorded_states import observe_states, record_beside
 from jaxnh.engine.executor.tiles import Call, DeviceTiles, Tiles, count_of
 from jaxnh.engine.progress import NullProgress, Progress
 from jaxnh.engine.xla_options import machine
@@ -252,12 +253,31 @@ class LaneExecutor:
         links = list[Link]()
         for n in _counts(count):
             links.append(Link(record, (maps, np.int32(n)), (_ROOM,), n, lambda states: (states, ())))
-            links.append(Link(_observe, shared, (n, function), keep=lambda result: (result[0], result)))
+            links.append(Link(observe_states, shared, (n, function), keep=lambda result: (result[0], result)))
         results = self.chain(links, lanes, tile=tile)[1::2]
         end, values = results[-1]
         if len(results) > 1:
             values = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *(part for _, part in results))
         return values, end
+
+    def summarise(
+        self,
+        maps: Maps,
+        count: int,
+        lanes: tuple[Any, Any],
+        beside: Any,
+        function: Callable[..., Any],
+        static: tuple[Any, ...] = (),
+        *,
+        tile: int | None = None,
+    ) -> Any:
+        """function(maps, (states, beside), p, *static) of every lane's states after 1, 2, …, count periods.
+
+        No state comes to the host. `beside` is a pytree of what else of each lane the function looks at.
+        """
+        (state, p), room = lanes, max(_ROOM, count)
+        recording = Link(record_beside, (maps, np.int32(count)), (room,), count, lambda states: (states, ()))
+        return self.chain([recording, Link(function, (maps,), static)], ((state, beside), p), tile=tile)[1]
 
     def program(
         self,
@@ -322,10 +342,13 @@ class LaneExecutor:
 
     def _in_threads(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
         """Lanes of several values of a family, each of which looks its own value's tree up."""
-        order = np.argsort(group, kind="stable")  # threads side by side read the same entries of tables
-        lanes = *select(_without_family(family, call.lanes), order), group[order].astype(np.int32)
+        lanes, order = _without_family(family, call.lanes), None
+        if np.any(group[1:] < group[:-1]):  # threads side by side read the same entries of tables
+            order = np.argsort(group, kind="stable")
+            lanes, group = select((lanes, group), order)
+        lanes = *lanes, group.astype(np.int32)
         result = self._run(call._replace(links=_in_groups(call, evaluate_in_group, 1.0), lanes=lanes))
-        return select(result, np.argsort(order))
+        return result if order is None else select(result, np.argsort(order))
 
     def _longest(self, shared: Sequence[Any], count: int, tile: int | None) -> int:
         """Periods of a lane in one call."""
@@ -344,13 +367,6 @@ class LaneExecutor:
 def _counts(count: int) -> list[int]:
     """Periods of each call that records."""
     return [min(_ROOM, count - first) for first in range(0, max(count, 1), _ROOM)]
-
-
-def _observe(*arguments: Any) -> tuple[Any, Any]:
-    """The last of so many states (room, …) of one lane, and what a function makes of each of them."""
-    *shared, states, _, count, function = arguments
-    values = jax.vmap(lambda state: function(*shared, state))(jax.tree.map(lambda x: x[:count], states))
-    return jax.tree.map(lambda x: x[max(count - 1, 0)], states), values
 
 
 def _with_shared(links: Sequence[Link], change: Callable[[ParameterFamily[Any]], Any]) -> tuple[Link, ...]:
