@@ -8,6 +8,7 @@ from unittest import mock
 import jax
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import jaxnh
 from jaxnh.analyses.batch import broadcast_start
@@ -19,6 +20,7 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.systems.flow import NOT_FINITE
 from jaxnh.systems.particle import CHART, disturbed_speed
 from tests.flows.lorenz import lorenz
 from tests.flows.particle import SYSTEMS, twin
@@ -196,6 +198,48 @@ def test_a_section_that_is_never_met_is_refused_soon():
     with mock.patch.object(SampleMaps, "of", counted), pytest.raises(AccuracyError, match=refusal):
         session.run("diagram", rho=[20.0, 28.0])
     assert max(kicks) < 2_000
+
+
+def hyperchaotic_roessler(a=0.25):
+    """Phys. Lett. A 71 (1979) 155."""
+
+    def rhs(y, t):
+        x, y_, z, w = y
+        return -y_ - z, x + a * y_ + w, 3.0 + x * z, -0.5 * z + 0.05 * w
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z", "w")}
+
+
+def test_steps_follow_what_is_violent_after_many_returns():
+    """x falls to −130 in rare turns: the steps of the first returns lose every lane there, which the truth does not.
+
+    The last lane goes to infinity, by LSODA at t = 174, and is marked.
+    """
+    start = {"x": -20.0, "y": 0.0, "z": 0.0, "w": 15.0}
+    session = jaxnh.Session(hyperchaotic_roessler, start=start, target=1e-6).on("y", 0.0, "up")
+    a = np.array([0.24, 0.25, 0.255, 0.26])
+    found = session.run("diagram", jaxnh.Diagram(transient=1, strobes=40), a=a)
+    assert list(found["status"].to_numpy()) == [0, 0, 0, NOT_FINITE]
+    for lane, value in enumerate(a[:3]):
+        truth = solve_ivp(
+            lambda t, y, value=value: hyperchaotic_roessler(value)["rhs"](y, t),
+            (0.0, 40.0),
+            list(start.values()),
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-12,
+            events=_rising,
+        )
+        exact = [y for t, y in zip(truth.t_events[0], truth.y_events[0], strict=True) if t > 0.0][:3]
+        ours = np.stack([found[name].to_numpy()[lane, :3] for name in "xzw"], axis=-1)
+        np.testing.assert_allclose(ours, np.array(exact)[:, [0, 2, 3]], atol=1e-3)
+
+
+def _rising(t, y):
+    return y[1]
+
+
+_rising.direction = 1.0
 
 
 @pytest.mark.slow  # the matrix has basins of random starts

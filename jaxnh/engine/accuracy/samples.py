@@ -34,6 +34,7 @@ _STEPS_A_PART = 64  # of a unit of time: so short that chaos has not yet enlarge
 _FEWEST_STEPS = 96  # that samples are judged by: what overflows with these is lost
 _GROWS = 5.0  # times that the largest coordinate grows in each quarter of a path: without bound
 _FAR_GROWN = 1e3  # times what it was at the start: no size of a motion
+_RETURNS_FOLLOWED = 2.0  # of the longest seen, beyond the last that steps have come to
 _NO_LANE_RETURNS = 3  # numbers of steps, each twice the one before, with which no lane comes back: then none does
 _NOT_LOST_BY_STEPS = (NO_RETURN, CHATTERING, CODIMENSION_TWO)  # why lanes fail whatever the steps
 
@@ -68,23 +69,7 @@ def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[s
         for parts in zip(*((row.start, dict(row.p), dict(row.where)) for row in rows), strict=True)
     )
     now = Samples(start, p, number, where)
-    steps = _seed_steps(maps, now)
-    finer, coarser = (maps.of(maps.scheme.reference, n) for n in (steps, max(1, steps // 2)))
-    states: list[State] = []
-    apart: list[Float[np.ndarray, "components lanes periods"]] = []
-    for _ in range(_CALLS):
-        met: list[State] = [now.states]
-        for _ in range(_PERIODS):
-            at = now._replace(states=met[-1])
-            met.append(maps.by_flow(iterate, lambda row: (finer(row), np.int32(1)), at, 1))
-        before, following = (jax.tree.map(lambda *z: np.stack(z, axis=1), *part) for part in (met[:-1], met[1:]))
-        states.append(before)
-        each = _one_by_one(now._replace(states=states[-1]))
-        image = differences(maps.image(coarser, each), image_of(jax.tree.map(np.ravel, following)))
-        apart.append(image.reshape(len(image), -1, _PERIODS))
-        now = now._replace(states=met[-1])
-    whole = now._replace(states=jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *states))
-    changes = np.concatenate(apart, axis=2)
+    whole, changes, steps = _follow_from_start(maps, now, _seed_steps(maps, now))
     escaping = _is_escaping(whole.states) | _grows(whole.states)
     sizes = measure_sizes(maps, whole, changes, escaping, given)
     sensitive = gaps_between(changes, sizes)
@@ -99,6 +84,70 @@ def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[s
     taken = jax.tree.map(lambda leaf: leaf[lane], now)
     taken = taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole.states))
     return SamplePaths(_without_lost(maps, taken, max(_FEWEST_STEPS, steps)), sensitive.size, sizes)
+
+
+def _follow_from_start(
+    maps: SampleMaps, start: Samples, steps: int
+) -> tuple[Samples, Float[np.ndarray, "components lanes periods"], int]:
+    """Follow lanes over the periods that are looked at, by so many steps or as many more as follow their motions.
+
+    Steps that are right in the first period may lose a lane in a later one, as in a rare and violent turn: what is then
+    not finite would be taken for a motion that goes to infinity.
+
+    Returns:
+        States (lanes, periods), how far apart each is after a period by half the steps, and the steps.
+
+    Raises:
+        LostLaneError: the most steps that are tried lose a lane whose motion stays finite.
+    """
+    while True:
+        states, apart, last = _follow_by(maps, start, steps)
+        if (stays := _lost_on_the_way(maps, start, states, last)) < 0:
+            return start._replace(states=states), apart, steps
+        steps *= 2
+        if steps * maps.scheme.reference.stages > _MOST_SEED_KICKS:
+            if maps.adaptive:
+                return start._replace(states=states), apart, steps
+            raise _stiff(start, stays)
+
+
+def _follow_by(
+    maps: SampleMaps, now: Samples, steps: int
+) -> tuple[State, Float[np.ndarray, "components lanes periods"], State]:
+    """States (lanes, periods) of so many steps a period, how far apart those of half the steps are, and the last."""
+    finer, coarser = (maps.of(maps.scheme.reference, n) for n in (steps, max(1, steps // 2)))
+    states: list[State] = []
+    apart: list[Float[np.ndarray, "components lanes periods"]] = []
+    for _ in range(_CALLS):
+        met: list[State] = [now.states]
+        for _ in range(_PERIODS):
+            at = now._replace(states=met[-1])
+            met.append(maps.by_flow(iterate, lambda row: (finer(row), np.int32(1)), at, 1))
+        before, following = (jax.tree.map(lambda *z: np.stack(z, axis=1), *part) for part in (met[:-1], met[1:]))
+        states.append(before)
+        each = _one_by_one(now._replace(states=states[-1]))
+        image = differences(maps.image(coarser, each), image_of(jax.tree.map(np.ravel, following)))
+        apart.append(image.reshape(len(image), -1, _PERIODS))
+        now = now._replace(states=met[-1])
+    whole = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *states)
+    return whole, np.concatenate(apart, axis=2), now.states
+
+
+def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: State) -> int:
+    """Return a lane that steps lose after the first period but whose motion stays finite; −1: there is none."""
+    every = jax.tree.map(lambda leaf, end: np.concatenate([leaf, end[:, None]], axis=1), states, last)
+    finite = np.all([np.isfinite(leaf) for leaf in image_of(every)], axis=0)
+    when = np.argmin(finite, axis=1)
+    lost = finite[:, 0] & (when > 1)
+    if not np.any(lost):
+        return -1
+    lane = np.arange(len(when))
+    before, after = (jax.tree.map(lambda leaf, at=at: leaf[lane, at], every) for at in (when - 1, when))
+    length = None
+    if maps.sectioned:
+        with np.errstate(invalid="ignore"):
+            length = _RETURNS_FOLLOWED * float(np.nanmax(np.diff(every.t, axis=1)))
+    return _stays_finite(maps, start._replace(states=before), after, lost, length)
 
 
 def _one_by_one(samples: Samples) -> Samples:
@@ -142,11 +191,13 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
             if all(_settles(part, samples, steps, states) for states in (samples.states, later)):
                 return steps
     if stays >= 0 and not maps.adaptive:
-        raise LostLaneError(f"at {samples.place(stays)} steps do not follow a motion that stays finite: it is stiff")
+        raise _stiff(samples, stays)
     return max(steps, first_look(maps, samples).steps) if np.all(lost) else steps
 
 
-def _stays_finite(maps: SampleMaps, samples: Samples, images: State, lost: Bool[np.ndarray, " lanes"]) -> int:
+def _stays_finite(
+    maps: SampleMaps, samples: Samples, images: State, lost: Bool[np.ndarray, " lanes"], length: float | None = None
+) -> int:
     """Return a lane whose image is lost but whose motion is not, by steps that follow it; −1: there is none.
 
     A particle at a prescribed speed is not stiff, and steps do not lose a lane that does not return to its section, nor
@@ -160,8 +211,13 @@ def _stays_finite(maps: SampleMaps, samples: Samples, images: State, lost: Bool[
     if not len(numbers):
         return -1
     picked = numbers[np.unique(np.linspace(0, len(numbers) - 1, LANES_FOLLOWED).round().astype(int))]
-    arrived = follow(maps, samples.take_lanes(picked)).arrived >= 1.0
+    arrived = follow(maps, samples.take_lanes(picked), length).arrived >= 1.0
     return int(picked[np.argmax(arrived)]) if np.any(arrived) else -1
+
+
+def _stiff(samples: Samples, lane: int) -> LostLaneError:
+    """The error that steps do not follow the motion of a lane."""
+    return LostLaneError(f"at {samples.place(lane)} steps do not follow a motion that stays finite: it is stiff")
 
 
 def _settles(maps: SampleMaps, samples: Samples, steps: int, states: State) -> bool:
