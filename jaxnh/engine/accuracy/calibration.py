@@ -259,7 +259,7 @@ class Calibration:
         length = flow.period / parts
         if self._maps.sectioned:
             lengths = np.abs(self._reference.image[-1] - self._samples.states.t)
-            what, why = "one return", explain_long_returns(lengths, worst)
+            what, why = "one return", explain_long_returns(system, lengths, worst)
             length = float(lengths[worst]) if np.isfinite(lengths[worst]) else length
         elif flow.autonomous:
             what = "one unit of time" if parts == 1 else f"1/{parts} of a unit of time"

@@ -65,8 +65,11 @@ def lost_rank(system: System, state: State, p: Parameters) -> str:
     return flow.fault_at(0.0, state, p) or flow.near_degeneracy(*_motion(flow, state, p, flow.period), p)
 
 
-def explain_long_returns(lengths: Float[np.ndarray, " samples"], worst: int) -> str:
+def explain_long_returns(section: System, lengths: Float[np.ndarray, " samples"], worst: int) -> str:
     """Explain the largest error by the long returns of its sample to a section; "" where they are not long."""
+    if isinstance(section, Section) and not np.isfinite(lengths[worst]):
+        longest = section.longest * section.flow.period
+        return f"it does not come back within {longest:.4g} units of time; a section that is met more often would do"
     if lengths[worst] > _LONG * np.nanmedian(lengths):
         return f"it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
     return ""
