@@ -93,7 +93,10 @@ def processed_table(
 def whole_period(system: IsokineticParticle, solver: IsokineticSplitting, steps: int, *, smallest: int = 1) -> Table:
     """`processed_table` of the period from 0, made once for the maps of a period and of its parts."""
     rows, count, rest = whole_periods([system], solver, steps)[0]
-    roomy = np.zeros((max(len(rows), 1 << (smallest - 1).bit_length()), rows.shape[1]))
+    capacity = 1 << (smallest - 1).bit_length()
+    if capacity <= len(rows):
+        return rows, count, rest
+    roomy = np.zeros((capacity, rows.shape[1]))
     roomy[: len(rows)] = rows
     return roomy, count, rest
 
