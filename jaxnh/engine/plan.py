@@ -109,7 +109,10 @@ def find_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor,
         return Plan(iteration, 1, False, float(np.finfo(float).eps))
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         calibration = calibrate(experiment, axes, lanes.on_host(), experiment.accuracy.only_target, requested)
-        return plan_of(experiment, axes, calibration, requested)
+        plan = plan_of(experiment, axes, calibration, requested)
+        if experiment.accuracy.steps:
+            return plan
+        return calibration.rehearse(plan, math.ceil(work_of(requested, experiment.sweep.lanes)))
 
 
 def find_or_keep_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor, requested: Requested) -> Plan:

@@ -218,7 +218,10 @@ def test_steps_follow_what_is_violent_after_many_returns():
     start = {"x": -20.0, "y": 0.0, "z": 0.0, "w": 15.0}
     session = jaxnh.Session(hyperchaotic_roessler, start=start, target=1e-6).on("y", 0.0, "up")
     a = np.array([0.24, 0.25, 0.255, 0.26])
-    found = session.run("diagram", jaxnh.Diagram(transient=1, strobes=40), a=a)
+    with mock.patch("jaxnh.engine.accuracy.calibration.are_lost_by", side_effect=[True, False]) as rehearsals:
+        found = session.run("diagram", jaxnh.Diagram(transient=1, strobes=40), a=a)
+    first, again = (call.args[3] for call in rehearsals.call_args_list)  # as steps that lose a lane in a rehearsal
+    assert again == 2 * first
     assert list(found["status"].to_numpy()) == [0, 0, 0, NOT_FINITE]
     for lane, value in enumerate(a[:3]):
         truth = solve_ivp(
@@ -233,6 +236,25 @@ def test_steps_follow_what_is_violent_after_many_returns():
         exact = [y for t, y in zip(truth.t_events[0], truth.y_events[0], strict=True) if t > 0.0][:3]
         ours = np.stack([found[name].to_numpy()[lane, :3] for name in "xzw"], axis=-1)
         np.testing.assert_allclose(ours, np.array(exact)[:, [0, 2, 3]], atol=1e-3)
+
+
+@pytest.mark.slow  # that steps are doubled is quick
+def test_steps_lose_no_lane_in_long_runs():
+    """Of these starts LSODA has none that goes to infinity within 4,000 units; x falls to −350 in some."""
+    start = {"x": -20.0, "y": 0.0, "z": 0.0, "w": 15.0}
+    session = jaxnh.Session(hyperchaotic_roessler, start=start, target=1e-6)
+    found = session.run(
+        "lyapunov", jaxnh.Lyapunov(transient=256, periods=4096, exponents=1), a=np.linspace(0.24, 0.255, 16)
+    )
+    assert not found["status"].to_numpy().any()
+
+
+@pytest.mark.usefixtures("quick_compiling_once")
+def test_what_is_not_violent_has_no_rehearsal():
+    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-4)
+    with mock.patch("jaxnh.engine.accuracy.calibration.are_lost_by") as rehearsal:
+        session.run("diagram", jaxnh.Diagram(transient=1, strobes=1), rho=[28.0])
+    rehearsal.assert_not_called()
 
 
 def _rising(t, y):

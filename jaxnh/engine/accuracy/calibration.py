@@ -21,7 +21,7 @@ from jaxnh.engine.accuracy.reference import (
     roundings_of_sums,
 )
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, differences, gaps_between
-from jaxnh.engine.accuracy.samples import take_samples
+from jaxnh.engine.accuracy.samples import are_lost_by, take_samples
 from jaxnh.engine.accuracy.sizes import sizes_by_name
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -42,6 +42,7 @@ SAFETY = 2.0
 """The error is taken this many times: some lanes of the sweep have larger ones."""
 
 _ROUNDS = 8
+_REHEARSING, _REHEARSED = 32, 1 << 13  # lanes, and periods of each, at most, in which steps are to lose none
 _SPLIT, _MOST_PARTS = 4, 1024  # parts of a unit of time that is too long for its rounding
 _PRECISE = {
     "float64": 1e-6,
@@ -135,7 +136,8 @@ class Calibration:
         solvers = candidates or scheme.solvers(flow, self._precision)
         self._candidates = tuple(s for s in solvers if not (flow.autonomous and s.processor[1]))
         self._summations = (False,) if flow.autonomous else scheme.summations
-        self._samples, looked_at, self._sizes = take_samples(maps, self._rows, self._given)
+        paths = take_samples(maps, self._rows, self._given)
+        self._samples, looked_at, self._sizes, self._start, self._violent = paths
         self.sizes = sizes_by_name(maps.flows[0], self._sizes)
         self._left_out = int(LEFT_OUT * looked_at)
         self._measure_reference()
@@ -191,6 +193,23 @@ class Calibration:
             refusal = refusal or why
             if by_rounding or self._jumps_at(self._largest_at(errors)) or not self._take_own_steps(self._maps):
                 raise AccuracyError(refusal)
+
+    def rehearse(self, plan: Plan, periods: int) -> Plan:
+        """The plan with as many steps as lose no sample lane within so many periods whose motion stays finite.
+
+        Samples tell no bound of how violent a motion may become, and lanes once lost do not come back. Tried where
+        steps that were right in the first periods lost lanes in later ones, and by a handful of lanes.
+        """
+        if not self._violent or self._maps.adaptive or self._maps.parts > 1:
+            return plan
+        picked = np.unique(np.linspace(0, len(self._start.row) - 1, _REHEARSING).round().astype(int))
+        few, steps = self._start.take_lanes(picked), plan.steps
+        while are_lost_by(self._maps, few, plan.solver, steps, min(periods, _REHEARSED)):
+            if 2 * steps > plan.solver.most_steps(MOST_KICKS):
+                return plan
+            steps *= 2
+        error = plan.error_estimate if steps == plan.steps else self.error(plan.solver, steps)
+        return plan._replace(steps=steps, error_estimate=error)
 
     def _cheapest(
         self, target: float, is_short: Callable[[Plan], bool] | None

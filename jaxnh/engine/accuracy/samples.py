@@ -20,6 +20,7 @@ from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError, LostLaneError
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, Section
+from jaxnh.solvers import Solver
 from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, NO_RETURN, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint
 from jaxnh.systems.state import State
@@ -46,11 +47,15 @@ class SamplePaths(NamedTuple):
         samples: those that errors are measured on.
         periods: number of periods that they were chosen from.
         sizes: size of the motion in each component that errors are compared in.
+        start: where lanes begin.
+        violent: whether steps that are right in first periods lost lanes in later ones.
     """
 
     samples: Samples
     periods: int
     sizes: Float[np.ndarray, " components"]
+    start: Samples
+    violent: bool
 
 
 def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[str, float]) -> SamplePaths:
@@ -69,7 +74,8 @@ def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[s
         for parts in zip(*((row.start, dict(row.p), dict(row.where)) for row in rows), strict=True)
     )
     now = Samples(start, p, number, where)
-    whole, changes, steps = _follow_from_start(maps, now, _seed_steps(maps, now))
+    first = _seed_steps(maps, now)
+    whole, changes, steps = _follow_from_start(maps, now, first)
     escaping = _is_escaping(whole.states) | _grows(whole.states)
     sizes = measure_sizes(maps, whole, changes, escaping, given)
     sensitive = gaps_between(changes, sizes)
@@ -83,7 +89,23 @@ def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[s
     lane, time = np.divmod(moving if len(moving) else chosen, sensitive.shape[1])
     taken = jax.tree.map(lambda leaf: leaf[lane], now)
     taken = taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole.states))
-    return SamplePaths(_without_lost(maps, taken, max(_FEWEST_STEPS, steps)), sensitive.size, sizes)
+    kept = _without_lost(maps, taken, max(_FEWEST_STEPS, steps))
+    return SamplePaths(kept, sensitive.size, sizes, now, steps > first)
+
+
+def are_lost_by(maps: SampleMaps, start: Samples, solver: Solver, steps: int, periods: int) -> bool:
+    """Return whether steps lose a lane within so many periods whose motion stays finite."""
+    maps_of, now = maps.of(solver, steps), start
+    for _ in range(0, periods, _PERIODS):
+        met: list[State] = [now.states]
+        for _ in range(_PERIODS):
+            at = now._replace(states=met[-1])
+            met.append(maps.by_flow(iterate, lambda row: (maps_of(row), np.int32(1)), at, 1))
+        states = jax.tree.map(lambda *z: np.stack(z, axis=1), *met[:-1])
+        if _lost_on_the_way(maps, now, states, met[-1], first=1) >= 0:
+            return True
+        now = now._replace(states=met[-1])
+    return False
 
 
 def _follow_from_start(
@@ -133,12 +155,12 @@ def _follow_by(
     return whole, np.concatenate(apart, axis=2), now.states
 
 
-def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: State) -> int:
-    """Return a lane that steps lose after the first period but whose motion stays finite; −1: there is none."""
+def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: State, first: int = 2) -> int:
+    """Return a lane that steps lose, in the first period or later, but whose motion stays finite; −1: there is none."""
     every = jax.tree.map(lambda leaf, end: np.concatenate([leaf, end[:, None]], axis=1), states, last)
     finite = np.all([np.isfinite(leaf) for leaf in image_of(every)], axis=0)
     when = np.argmin(finite, axis=1)
-    lost = finite[:, 0] & (when > 1)
+    lost = finite[:, 0] & (when >= first)
     if not np.any(lost):
         return -1
     lane = np.arange(len(when))
