@@ -251,7 +251,7 @@ def test_steps_lose_no_lane_in_long_runs():
 
 @pytest.mark.usefixtures("quick_compiling_once")
 def test_what_is_not_violent_has_no_rehearsal():
-    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-4)
+    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-4).on("z", 27.0, "up")
     with mock.patch("jaxnh.engine.accuracy.calibration.are_lost_by") as rehearsal:
         session.run("diagram", jaxnh.Diagram(transient=1, strobes=1), rho=[28.0])
     rehearsal.assert_not_called()
