@@ -168,7 +168,8 @@ def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: Stat
     length = None
     if maps.sectioned:
         with np.errstate(invalid="ignore"):
-            length = _RETURNS_FOLLOWED * float(np.nanmax(np.diff(every.t, axis=1)))
+            returns = np.diff(every.t, axis=1)
+        length = _RETURNS_FOLLOWED * float(np.max(returns, initial=0.0, where=np.isfinite(returns)))
     return _stays_finite(maps, start._replace(states=before), after, lost, length)
 
 
