@@ -206,10 +206,11 @@ def test_the_fixed_point_doubles_and_what_is_left_ends_at_a_torus():
 def test_exponents_and_energy():
     """Exponents sum to the mean divergence; beyond the cascade one is positive. The energy stays for 1,000 units.
 
+    Before it at 680: at 690 rounding decides whether the motion is on its cycle after 128 returns or chaotic for longer.
     Off the level steps of order eight and 1/512 lose less than 1e-10 of the energy.
     """
     options = "analyses={lyapunov: {transient: 128, periods: 256, exponents: %d}}"
-    data = groups_of("celtic_stone", "sweep.energy={values: [690.0, 725.0]}", STEPS, options % 4)["lyapunov"]
+    data = groups_of("celtic_stone", "sweep.energy={values: [680.0, 725.0]}", STEPS, options % 4)["lyapunov"]
     values, error = data["exponents"].to_numpy(), data["exponents_error"].to_numpy()
     assert np.abs(data["sum_rule_residual"].to_numpy()).max() < 1e-8
     assert values[0, 1] < 0.0 < values[1, 0] - error[1, 0]

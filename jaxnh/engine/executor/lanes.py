@@ -271,12 +271,9 @@ class LaneExecutor:
         *,
         tile: int | None = None,
     ) -> Any:
-        """function(maps, (states, beside), p, *static) of every lane's states after 1, 2, …, count periods.
-
-        No state comes to the host. `beside` is a pytree of what else of each lane the function looks at.
-        """
-        (state, p), room = lanes, max(_ROOM, count)
-        recording = Link(record_beside, (maps, np.int32(count)), (room,), count, lambda states: (states, ()))
+        """function(maps, (states, beside), p, *static) of the states of `record`, which do not come to the host."""
+        state, p = lanes
+        recording = Link(record_beside, (maps, np.int32(count)), (max(_ROOM, count),), count, lambda z: (z, ()))
         return self.chain([recording, Link(function, (maps,), static)], ((state, beside), p), tile=tile)[1]
 
     def program(
@@ -342,12 +339,12 @@ class LaneExecutor:
 
     def _in_threads(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
         """Lanes of several values of a family, each of which looks its own value's tree up."""
-        lanes, order = _without_family(family, call.lanes), None
+        order, lanes = None, _without_family(family, call.lanes)
         if np.any(group[1:] < group[:-1]):  # threads side by side read the same entries of tables
             order = np.argsort(group, kind="stable")
             lanes, group = select((lanes, group), order)
-        lanes = *lanes, group.astype(np.int32)
-        result = self._run(call._replace(links=_in_groups(call, evaluate_in_group, 1.0), lanes=lanes))
+        links = _in_groups(call, evaluate_in_group, 1.0)
+        result = self._run(call._replace(links=links, lanes=(*lanes, group.astype(np.int32))))
         return result if order is None else select(result, np.argsort(order))
 
     def _longest(self, shared: Sequence[Any], count: int, tile: int | None) -> int:
