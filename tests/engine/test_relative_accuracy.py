@@ -16,13 +16,14 @@ import pytest
 import jaxnh
 from jaxnh.engine.accuracy import calibration, reference
 from jaxnh.engine.accuracy.calibration import Calibration
-from jaxnh.engine.accuracy.diagnostics import explain_motion
+from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion
 from jaxnh.engine.accuracy.kinks import find_kink
 from jaxnh.engine.accuracy.sample_maps import Samples
 from jaxnh.engine.accuracy.sizes import coordinate_names
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
+from jaxnh.maps.section import Section
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed
@@ -348,3 +349,12 @@ def test_a_lane_that_chatters_is_not_stiff(lanes):
     flow = piecewise_smooth(ball, {"r": 1.0}, ("r",))
     calibration = calibrated(flow, flow.start({"x": 1.0, "v": 0.0}), [0.5, 1.0], lanes, name="r")
     assert calibration.floor <= TARGET
+
+
+def test_a_section_that_a_motion_does_not_come_back_to_is_named():
+    """No number of units is the length of a return that does not come: within how many there was none is said."""
+    section = Section(first_order(lorenz, {"rate": 1.0}, ("rate",)), "z", 2, 27.0, "up", longest=50.0)
+    assert explain_long_returns(section, np.array([1.0, np.nan, 2.0]), 1).startswith(
+        "it does not come back within 3000 units of time"  # 50 of the time_unit of this file
+    )
+    assert explain_long_returns(section, np.array([1.0, 1.5, 2.0]), 2) == ""

@@ -156,7 +156,7 @@ def _follow_by(
 
 
 def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: State, first: int = 2) -> int:
-    """Return a lane that steps lose, in the first period or later, but whose motion stays finite; −1: there is none."""
+    """Return a lane that steps lose in period `first` or later but whose motion stays finite; −1: there is none."""
     every = jax.tree.map(lambda leaf, end: np.concatenate([leaf, end[:, None]], axis=1), states, last)
     finite = np.all([np.isfinite(leaf) for leaf in image_of(every)], axis=0)
     when = np.argmin(finite, axis=1)
