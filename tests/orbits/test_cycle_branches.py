@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -107,6 +108,31 @@ def test_branch_is_born_in_a_hopf_bifurcation():
             radius = np.linalg.norm(point.solution.path.ends[0], axis=1)
             assert np.abs(radius**2 - point.value).max() < 1e-7  # of ten intervals, 10⁻⁸
             assert abs(point.solution.duration[0] - 2 * np.pi / OMEGA) < 1e-7
+
+
+def undamped(force=0.1):
+    def rhs(y, t):
+        x, v = y
+        return v, force * jnp.cos(2.8 * t) - x - x * x * x
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * np.pi / 2.8}
+
+
+def test_what_preserves_area_has_no_torus_bifurcation_of_rounding():
+    """Where μ_1 μ_2 = 1 all along the branch, the signs of 1 − μ_1 μ_2 are rounding's and tell nothing."""
+    problem = problem_of(first_order(undamped, {"force": 0.1}, ("force",)), ("force",), (0.1, 0.3))
+    times = np.linspace(0.0, 2 * np.pi / 2.8, 40)
+    orbit = 0.1 / (1 - 2.8**2) * np.stack([np.cos(2.8 * times), -2.8 * np.sin(2.8 * times)], axis=1)
+    path, duration = path_through(times, orbit, 20)
+    guess = BoundarySolution(path, np.array([duration]), np.array([[0.1]]))
+    cycle = correct(problem, guess, closure(problem, np.zeros((1, 2))), hold)
+    branch = follow_cycles(
+        problem, point_at(problem, cycle.solution, np.zeros(2), None), np.zeros(2), (0.0, 1.0), StepControl(0.05, 200)
+    )
+    assert branch.ends[1] == RANGE
+    products = np.array([np.prod(point.multipliers) for point in branch.points])
+    assert 0.0 < np.abs(products - 1.0).max() < 1e-12
+    assert bifurcations(problem, branch, np.zeros(2)) == ([], [])
 
 
 def imperfect(break_):

@@ -39,6 +39,7 @@ _ZERO = 1e-6  # of its values around: that of a test function at a zero
 _AWAY = (2e-2, 4e-3, 1e-3, 2.5e-4)  # from a doubling, in lengths, tried in this order
 _STRAIGHT = 0.9  # cosine of the angle between the branch there and the direction it sets out in
 _FLOOR = 1e-12  # of the width of the range: what rounding leaves
+_ROUNDING = 1e-10  # of a test function: less tells no sign, as of 1 − μ_1 μ_2 where area is preserved
 
 
 class CycleBifurcation(NamedTuple):
@@ -206,7 +207,8 @@ def _neutral(point: CyclePoint) -> bool:
 
 
 def _changes(test: Callable[[CyclePoint], float], now: CyclePoint, after: CyclePoint) -> bool:
-    return test(now) * test(after) < 0.0
+    before, later = test(now), test(after)
+    return before * later < 0.0 and max(abs(before), abs(later)) > _ROUNDING
 
 
 def _product(factors: list[complex], moduli: Float[np.ndarray, " k"]) -> float:
