@@ -55,7 +55,9 @@ def points_together(
 ) -> SweepPoints:
     """The lanes at places along each axis, at as many values of the shared axes as these have, as a family."""
     shared = [place for axis, place in zip(axes, places, strict=True) if axis.kind == "shared"]
-    group = np.unique(np.stack(shared), axis=1, return_inverse=True)[1].ravel()
+    # A sort of numbers takes a twentieth of the time of one of columns.
+    columns = shared[0] if len(shared) == 1 else np.stack(shared)
+    group = np.unique(columns, axis=-1, return_inverse=True)[1].ravel()
     order = np.argsort(group, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(group))[:-1])
     parts = [points(experiment, axes, [place[lanes] for place in places]) for lanes in members]

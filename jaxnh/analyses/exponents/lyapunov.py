@@ -151,9 +151,10 @@ def averages(
         for stretch in _stretches(options):
             (part, part_p), shares, i = select((growth, p), running), [k / BLOCKS for k in stretch], stretch[-1]
             in_turn = averages_in_turn(lanes, strobes, part, part_p, block, shares, nodes)
+            rows = running if len(running) < count else np.s_[:]  # of all lanes in half the time
             for number, (after, rate) in zip(stretch, in_turn, strict=True):
-                rates[running, number] = rate
-                smooth[running] += smooth_parts(after, block, number)
+                rates[rows, number] = rate
+                smooth[rows] += smooth_parts(after, block, number)
             _write_lanes(growth, running, in_turn[-1][0])
             done[running] += len(stretch)
             if i == 0 and not to_the_end and _has_orbits(options, batch):
@@ -207,9 +208,12 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         mean[chosen], error[chosen] = widen_to_zero(plain, aligned, blocks * block)
     source, vanished = np.zeros(batch.count, np.int8), np.isneginf(mean)
     steps = batch.error_estimate * block * BLOCKS
-    drift = widen_plain_by_drift(Average(mean, error), averages, np.arange(batch.count), np.s_[: lead + k], steps)
+    others = np.flatnonzero(~on_orbit)
+    drift = widen_plain_by_drift(Average(mean[others], error[others]), averages, others, np.s_[: lead + k], steps)
+    widened = error.copy()
+    widened[others] = drift.error
     if options.method == "averages":
-        return Spectrum(mean, drift.error, source)
+        return Spectrum(mean, widened, source)
     number, ran = np.arange(BLOCKS), averages.blocks
     late = (number < ran[:, None]) & (number >= (ran - np.maximum(ran // 4, 1))[:, None])
     last = np.mean(averages.rates[:, :, lead], axis=1, where=late)
@@ -223,7 +227,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     better = smooth.error[:, lead] < error[whole, lead]
     regular = whole[better]
     source[regular] = SOURCES.index("smooth_average")
-    smooth, error = widen_by_drift(smooth, windows, steps=steps), drift.error
+    smooth, error = widen_by_drift(smooth, windows, steps=steps), widened
     mean[regular] = smooth.mean[better]
     error[regular] = smooth.error[better] + _step_error(batch, lanes, select(averages.growth, regular), regular, parts)
     plain = whole[~better]

@@ -204,12 +204,13 @@ def _survey_at(
     size, recurs = seen.size, seen.recurs.T
     period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(seen.first)
     failed |= ~seen.finite
-    rank, first, last = np.cumsum(recurs, axis=0), 1, 1
+    rank, first, last = np.cumsum(recurs, axis=0), 1.0, 1.0
     while first <= tries and np.any(rank[-1, period == 0] >= first):
-        # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other.
+        # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other. On a card
+        # they do not, and a call lasts as long as its longest orbit.
         tried = recurs & (rank >= first) & (rank <= last) & (period == 0)
         n, lane = np.nonzero(tried)
-        first, last = last + 1, 2 * last + 1
+        first, last = last + 1, math.inf if lanes.on_card else 2 * last + 1
         with lanes.stage(f"{label}: orbits of {np.count_nonzero(tried.any(axis=0))} lanes", 0):
             orbit = orbits(lanes, strobe, point[lane], select(p, lane), n, size[lane])
         near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * CLOSE
