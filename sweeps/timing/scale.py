@@ -37,8 +37,8 @@ CORES = 64
 """Of a node, in what is reckoned."""
 
 CARDS = 8
-CARD_RATE = 1024**2 / 35
-"""Lanes a second of a chart of b by d on one H100, largest exponents alone, a million lanes (results/gpu.md)."""
+CARD_RATE = 1024**2 / 18.6
+"""Lanes a second of a chart of b by d on one H200, largest exponents alone, a million lanes (results/gpu.md)."""
 
 _TILE_SECONDS, _ROUNDS = 10.0, 2
 _EMPTY = 2000  # pieces without sleep
@@ -197,8 +197,8 @@ def page(scheduling: Sequence[Scheduling], merging: Merging) -> str:
         "(`--part K/N`).",
         "",
         f"**{CARDS} cards: {_time(of_cards / CARDS)}**, {of_cards / 3600:.1f} card-hours, from {CARD_RATE:,.0f} lanes",
-        "a second, which an H100 has of the largest exponents of such a chart, a million lanes in one run with kept",
-        "programs (`results/gpu.md`). Most of that run is the work of the host. Several cards were not measured.",
+        "a second, which an H200 has of the largest exponents of such a chart, a million lanes in one run with kept",
+        "programs (`results/gpu.md`). Much of that run is the work of the host. Several cards were not measured.",
     ]
     return "\n".join(lines) + "\n"
 
