@@ -1,5 +1,7 @@
 """Motions between events: which events a motion meets in a period, and each arc up to its event as a smooth map.
 
+Without a clock a period goes from a crossing of a section to the next one.
+
 An arc keeps to one branch of the field for a length of its own, beyond walls and surfaces too, so that its end is a
 smooth function of its beginning and of its length: orbits that touch a wall are solutions of smooth equations.
 """
@@ -15,9 +17,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.general_flow import Moving, own_parameters
+from jaxnh.maps.general_flow import own_parameters
 from jaxnh.maps.jumping import JumpingStrobe
-from jaxnh.maps.passages import March
+from jaxnh.maps.jumping_section import JumpingSection
+from jaxnh.maps.section import Section
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -35,6 +38,7 @@ class EventSequence(NamedTuple):
         time: of each since the period began, (room,).
         state: coordinates after each, in front of these those at the beginning of the period, (1 + room, d).
         side: of all walls and surfaces then, +1 above, −1 below, (1 + room, k).
+        duration: of the period.
     """
 
     met: Int[Array, ""]
@@ -42,9 +46,12 @@ class EventSequence(NamedTuple):
     time: Float[Array, " room"]
     state: Float[Array, "more d"]
     side: Float[Array, "more k"]
+    duration: Float[Array, ""]
 
 
-def event_sequence(strobe: JumpingStrobe, u: Float[Array, " d"], p: Parameters, room: int) -> EventSequence:
+def event_sequence(
+    strobe: JumpingStrobe | JumpingSection, u: Float[Array, " d"], p: Parameters, room: int
+) -> EventSequence:
     """The events of a period from a point on, of one lane.
 
     Args:
@@ -53,40 +60,45 @@ def event_sequence(strobe: JumpingStrobe, u: Float[Array, " d"], p: Parameters, 
         p: parameters of the lane.
         room: for so many events.
     """
-    lane, state = strobe.lane(p, [], volume=False), strobe.chart.state(u)
-    first = lane.begin(Moving(state), jnp.asarray(strobe.grid))
-    zero = jnp.zeros_like(u[0])
+    state: Any = strobe.chart.state(u)
+    trials = strobe.trials(state, p)
+    first, zero = trials.march(trials.first), jnp.zeros_like(u[0])
+    y, side = first.moving.state.y, first.side[: trials.surfaces]
     none = EventSequence(
         jnp.int32(0),
         jnp.zeros(room, jnp.int32),
         jnp.zeros(room) + zero,
-        jnp.zeros((1 + room, len(state.y))).at[0].set(jnp.stack(first.moving.state.y)),
-        jnp.zeros((1 + room, len(first.side))).at[0].set(jnp.stack(first.side)),
+        jnp.zeros((1 + room, len(y))).at[0].set(jnp.stack(y)),
+        jnp.zeros((1 + room, len(side))).at[0].set(jnp.stack(side)),
+        zero,
     )
 
-    def unfinished(known: tuple[March, EventSequence]) -> Array:
-        return lane.unfinished(known[0]) & (known[1].met <= room)
+    def unfinished(known: tuple[Any, EventSequence]) -> Array:
+        return trials.unfinished(known[0]) & (known[1].met <= room)
 
-    def advance(known: tuple[March, EventSequence]) -> tuple[March, EventSequence]:
-        march, events = known
-        march, arrival = lane.trial_and_arrival(march)
-        k, passes = events.met, arrival.passes
+    def advance(known: tuple[Any, EventSequence]) -> tuple[Any, EventSequence]:
+        trial, events = known
+        trial, arrival = trials.advance(trial)
+        march, k = trials.march(trial), events.met
+        passes = arrival.passes & (arrival.sought < trials.surfaces)
 
         def written(kept: Array, new: Any, place: Array) -> Array:
             # A choice and no scatter, which XLA cannot compile here for two walls ("number of dimensions of this map").
             written_now = passes & (jnp.arange(len(kept), dtype=jnp.int32) == place)
             return jnp.where(written_now.reshape(-1, *[1] * (kept.ndim - 1)), new, kept)
 
-        return march, EventSequence(
+        return trial, EventSequence(
             jnp.where(passes, k + 1, k),
             written(events.number, arrival.sought, k),
             written(events.time, march.t, k),
             written(events.state, jnp.stack(march.moving.state.y), k + 1),
-            written(events.side, jnp.stack(march.side), k + 1),
+            written(events.side, jnp.stack(march.side[: trials.surfaces]), k + 1),
+            events.duration,
         )
 
-    march, events = lax.while_loop(unfinished, advance, as_batched((first, none), zero))
-    return events._replace(met=jnp.where(march.lost, room + 1, events.met))
+    last, events = lax.while_loop(unfinished, advance, as_batched((trials.first, none), zero))
+    lost = trials.march(last).lost | trials.unfinished(last)
+    return events._replace(met=jnp.where(lost, room + 1, events.met), duration=trials.duration(last))
 
 
 class ArcEnd(NamedTuple):
@@ -95,7 +107,7 @@ class ArcEnd(NamedTuple):
     Attributes:
         after: coordinates and time after the event, (d + 1,); the time is zero where a period begins.
         missing: what is zero at the event: the height of the wall or surface that is met, its rate where it is touched,
-            or what is left of the period.
+            or what is left of the period, without a clock the height above the section.
         height: of the wall or surface.
     """
 
@@ -105,7 +117,7 @@ class ArcEnd(NamedTuple):
 
 
 def arc_end(
-    flow: PiecewiseSmooth,
+    system: PiecewiseSmooth | Section,
     solver: WrittenOutRungeKutta,
     steps: ArrayLike,
     period: ArrayLike,
@@ -120,7 +132,7 @@ def arc_end(
     """The end of an arc, and its derivatives in its beginning, its length, and parameters.
 
     Args:
-        flow: a flow with a clock, that walls and surfaces do not hold.
+        system: a flow with a clock, that walls and surfaces do not hold, or the section of one without.
         solver, steps: with so many of its steps.
         period: of the clock.
         start: coordinates and time at the beginning, (d + 1,).
@@ -131,6 +143,7 @@ def arc_end(
         p: parameters of the lane.
         names: of parameters.
     """
+    flow: Any = system.flow
     count, sides = side.shape[0], tuple(side)
 
     def end(start: Array, length: Array, values: Array) -> ArcEnd:
@@ -143,7 +156,8 @@ def arc_end(
         for k in range(len(flow.jumps)):
             jumped = jnp.stack(flow.jumped(k, t, state, own, sides).y)
             after = jnp.where(event == k, jumped, after)
-        missing = jnp.where(over, t - period, jnp.concatenate([height, rate])[event % (2 * count)])
+        left = system.smooth_height(state) if isinstance(system, Section) else t - period
+        missing = jnp.where(over, left, jnp.concatenate([height, rate])[event % (2 * count)])
         after = jnp.append(after, jnp.where(over, 0.0, t))
         return ArcEnd(after, missing, height[event % count])
 

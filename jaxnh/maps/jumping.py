@@ -34,7 +34,7 @@ from jaxnh.maps.general_flow import (
     stages_in_loop,
     unstacked_tangents,
 )
-from jaxnh.maps.passages import March, Passages, passages_within
+from jaxnh.maps.passages import March, Passages, Trials, passages_within
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Reading, side_from
 from jaxnh.solvers import WrittenOutRungeKutta
@@ -110,6 +110,13 @@ class JumpingStrobe(ReturnMap):
         """
         own = own_parameters(self.system, p)
         return _Lane(self, EventPassage(self.system, own, by_p, volume=volume, stacked=stacked))
+
+    def trials(self, state: PiecewisePoint, p: Parameters) -> Trials:
+        """All trials of a period from a state on."""
+        lane, grid = self.lane(p, [], volume=False), jnp.asarray(self.grid)
+        first, surfaces = lane.begin(Moving(state), grid), len(self.system.jumps) + self.system.switches
+        end = grid[-1]
+        return Trials(first, lane.unfinished, lane.trial_and_arrival, lambda march: march, lambda _: end, surfaces)
 
     def _marched(self, start: Moving, p: Parameters, by_p: list[Any], *, stacked: bool = False) -> Moving:
         """All steps."""

@@ -7,6 +7,7 @@ events, and a jump that carries a motion over the section is none.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -21,8 +22,9 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.crossings import side_of_section
 from jaxnh.maps.general_flow import Moving, lanes_per_tile, own_parameters, stages_in_loop
 from jaxnh.maps.jumping import JumpingStrobe
-from jaxnh.maps.passages import March
+from jaxnh.maps.passages import March, Trials
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
+from jaxnh.maps.saltation import Arrival
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import CHATTERING, NO_RETURN, NOT_FINITE, Parameters
@@ -161,6 +163,12 @@ class JumpingSection(ReturnMap):
         grown = moving.log_volume if volume else zero
         return Pushforward(self._arrived(state, ended), pushed, grown)
 
+    def trials(self, state: Crossing, p: Parameters) -> Trials:
+        """All trials from a crossing to the next one."""
+        first, unfinished, advance = self._approach(1, state, Moving(state.state), (), p, [])
+        surfaces = len(first.march.side) - 1
+        return Trials(first, unfinished, advance, lambda search: search.march, lambda search: search.t, surfaces)
+
     def _searched(
         self,
         n: ArrayLike,
@@ -171,6 +179,19 @@ class JumpingSection(ReturnMap):
         by_p: list[Any],
     ) -> _Approach:
         """Steps until n crossings are met, or there is no hope of the next one."""
+        first, unfinished, advance = self._approach(n, start, at_begin, by_tangent, p, by_p)
+        return lax.while_loop(unfinished, lambda search: advance(search)[0], as_batched(first, start.t))
+
+    def _approach(
+        self,
+        n: ArrayLike,
+        start: Crossing,
+        at_begin: Moving,
+        by_tangent: tuple[Array, ...],
+        p: Parameters,
+        by_p: list[Any],
+    ) -> tuple[_Approach, Callable[[_Approach], Array], Callable[[_Approach], tuple[_Approach, Arrival]]]:
+        """The beginning of that loop, whether it goes on, and one trial with the event that it may have ended at."""
         grid = jnp.stack([jnp.zeros_like(jnp.asarray(self.step)), jnp.asarray(self.step)])
         lane = _EqualSteps(_with_section(self.system), self.solver, grid, self.most_steps).lane(
             p, by_p, volume=at_begin.log_volume is not None
@@ -183,8 +204,8 @@ class JumpingSection(ReturnMap):
         def unfinished(search: _Approach) -> Array:
             return (search.left > 0) & lane.unfinished(search.march)
 
-        def advance(search: _Approach) -> _Approach:
-            before, after = search.march, lane.trial(search.march)
+        def advance(search: _Approach) -> tuple[_Approach, Arrival]:
+            before, (after, arrival) = search.march, lane.trial_and_arrival(search.march)
             met = (after.events > before.events) & (before.sought == len(before.side) - 1)
             met &= after.side[-1] != before.side[-1]
             if self.system.direction != "both":
@@ -198,15 +219,16 @@ class JumpingSection(ReturnMap):
                 stretch=jnp.zeros_like(after.stretch) + grid[1],
                 events=jnp.zeros_like(after.events),
             )
-            return _Approach(
+            approach = _Approach(
                 jax.tree.map(lambda new, old: jnp.where(met, new, old), again, after),
                 jnp.where(met, search.t + after.t, search.t),
                 tuple(jnp.where(met, x + dt, x) for x, dt in zip(search.by_tangent, later, strict=True)),
                 jnp.where(met, search.left - 1, search.left),
                 jnp.where(met, after.rate[-1], search.leaving),
             )
+            return approach, arrival
 
-        return lax.while_loop(unfinished, advance, as_batched(first, start.t))
+        return first, unfinished, advance
 
     def _on_section(
         self, moving: Moving, field: PiecewisePoint, leaving: Array, rate: Array

@@ -5,7 +5,7 @@ Heights and their rates at both ends of a trial say whether one has been passed,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jaxtyping import Array
 from jaxnh.maps.crossings import crossing_between, near_turn
 from jaxnh.maps.event_heights import Heights, any_of, as_vector, pick
 from jaxnh.maps.general_flow import Moving
-from jaxnh.maps.saltation import Reading
+from jaxnh.maps.saltation import Arrival, Reading
 
 
 class March(NamedTuple):
@@ -57,6 +57,26 @@ class March(NamedTuple):
     again: Array
     events: Array
     lost: Array
+
+
+class Trials(NamedTuple):
+    """The trials of a lane up to the end of its period, or to its next crossing of a section.
+
+    Attributes:
+        first: where they begin.
+        unfinished: whether one is left.
+        advance: one of them, with the event that it may have ended at.
+        march: the lane on its way, after one of them.
+        duration: time of the period, after the last one.
+        surfaces: number of walls and surfaces, the section not among them.
+    """
+
+    first: Any
+    unfinished: Callable[[Any], Array]
+    advance: Callable[[Any], tuple[Any, Arrival]]
+    march: Callable[[Any], March]
+    duration: Callable[[Any], Array]
+    surfaces: int
 
 
 class Passages(NamedTuple):

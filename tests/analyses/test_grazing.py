@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import jaxnh
@@ -16,6 +17,8 @@ from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.continuation.grazing import arc_problem, grazing_sensitivities, may_graze, with_grazing
 from jaxnh.analyses.periodic.location import refined_maps
+from jaxnh.maps.event_arcs import event_sequence
+from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.bifurcations.grazing import ArcSequence, grazing_orbit, touching
 from jaxnh.orbits.continuation.kinds import GRAZING, KINDS
 from jaxnh.orbits.continuation.paths import ENDS, GRAZES, RANGE, StepControl
@@ -121,7 +124,7 @@ def oscillators():
 def test_an_orbit_that_touches_the_wall(quick_lanes):
     """x = FORCED cos ωt does where s is its amplitude, 1/(ω² − 1); its multipliers are those without a wall."""
     batch, period = oscillators(), 2 * np.pi / OMEGA
-    problem = arc_problem(batch, quick_lanes, ("s",), (np.array([-0.3]), np.array([0.3])), np.ones(2))
+    problem = arc_problem(batch, quick_lanes, ("s",), (np.array([-0.3]), np.array([0.3])), np.ones(2), period)
     without = ArcSequence(np.array([2]), np.array([[-1.0]]), 0)
     near = touching(without, np.array([[FORCED, 0.01, 0.0]]), np.array([period]), 0, 0.48, np.array([0.14, 0.1]), 0)
     orbit = grazing_orbit(problem, *near, np.array([0.16]))
@@ -137,13 +140,157 @@ def test_what_an_orbit_that_touches_depends_on(quick_lanes):
     touching_orbit = ArcSequence(np.array([1, 2]), np.array([[-1.0], [-1.0]]), 0)
     half = np.pi / OMEGA
     start, length = np.array([[FORCED, 0.0, 0.0], [-FORCED, 0.0, half]]), np.array([half, half])
-    problems = [arc_problem(batch, quick_lanes, ("s",), ends, np.ones(2), more) for more in (1, 2)]
+    problems = [arc_problem(batch, quick_lanes, ("s",), ends, np.ones(2), 2 * half, more) for more in (1, 2)]
     orbits = [grazing_orbit(problem, touching_orbit, start, length, np.array([-FORCED])) for problem in problems]
     found = grazing_sensitivities(batch, quick_lanes, [orbits])
     assert (found.names, found.absent) == (("r", "omega"), {})
     exact = np.array([[0.0, -2.0 * OMEGA / (OMEGA**2 - 1) ** 2]])
     assert np.all(np.abs(found.rates - exact) <= found.errors)
     assert np.all(found.errors < 1e-10)
+
+
+def impacting_van_der_pol(s=2.2, r=0.8):
+    """As in the file: without a clock, and a wall at x = s."""
+    wall = {"when": lambda y, t: y[0] - s, "direction": "up", "then": lambda y, t: (y[0], -r * y[1])}
+    rhs = lambda y, t: (y[1], (1.0 - y[0] * y[0]) * y[1] - y[0])  # noqa: E731
+    return {"rhs": rhs, "coordinates": ("x", "v"), "jumps": [wall]}
+
+
+def van_der_pol_until(start, **event):
+    """Time and state at an event of van der Pol's flow by DOP853."""
+
+    def passes(t, y):
+        return y[event["number"]] - event["value"]
+
+    passes.terminal, passes.direction = True, event["direction"]
+    path = solve_ivp(
+        lambda t, y: [y[1], (1.0 - y[0] ** 2) * y[1] - y[0]],
+        (0.0, 50.0),
+        start,
+        "DOP853",
+        events=passes,
+        rtol=1e-13,
+        atol=1e-13,
+    )
+    return path.t_events[0][0], path.y_events[0][0]
+
+
+@pytest.fixture(scope="module")
+def largest_x():
+    """Of van der Pol's cycle, which is at v = 0 there, and the point where the cycle passes x = 0 upwards."""
+    start = np.array([0.0, 2.17])
+    for _ in range(4):
+        _, right = van_der_pol_until(start, number=1, value=0.0, direction=-1)
+        _, left = van_der_pol_until(right, number=1, value=0.0, direction=1)
+        _, start = van_der_pol_until(left, number=0, value=0.0, direction=1)
+    return right[0], start[1]
+
+
+def test_events_between_crossings_of_a_section(quick_lanes, largest_x):
+    """From x = 0 to the wall, and after the impact back to x = 0, by DOP853; an orbit that only touches is as large as
+    van der Pol's cycle.
+    """
+    flow = piecewise_smooth(impacting_van_der_pol, {"s": 2.2, "r": 0.8})
+    section, (amplitude, speed) = Section(flow, "x", 0, 0.0, "up"), largest_x
+    start = begin(section, flow.start({"x": 0.0, "v": speed}))
+    batch = batch_of(section, start, [1.5, 2.5], dopri8, 40, name="s")
+    assert may_graze(batch)
+    events = quick_lanes(event_sequence, (batch.strobe(),), (np.full((2, 1), speed), dict(batch.p)), static=(4,))
+    assert events.met.tolist() == [1, 0]
+    first, wall = van_der_pol_until([0.0, speed], number=0, value=1.5, direction=1)
+    back, _ = van_der_pol_until([1.5, -0.8 * wall[1]], number=0, value=0.0, direction=1)
+    assert events.time[0, 0] == pytest.approx(first, abs=1e-10)
+    assert events.state[0, 1] == pytest.approx([1.5, -0.8 * wall[1]], abs=1e-10)
+    assert (events.number[0, 0], events.side[0, :2, 0].tolist()) == (0, [-1.0, -1.0])
+    assert events.duration[0] == pytest.approx(first + back, abs=1e-9)
+
+    ends, period = (np.array([1.5]), np.array([2.5])), float(events.duration[1])
+    problem = arc_problem(batch, quick_lanes, ("s",), ends, np.ones(1), period)
+    without = ArcSequence(np.array([2]), np.array([[-1.0]]), 0)
+    near = touching(without, np.array([[0.0, speed, 0.0]]), np.array([period]), 0, 0.25, np.array([2.0, 0.1]), 0)
+    orbit = grazing_orbit(problem, *near, np.array([2.0]))
+    assert abs(orbit.values[0] - amplitude) < 1e-9  # of 267 steps a turn of order eight
+    assert orbit.points == pytest.approx(np.array([[speed]]), abs=1e-9)
+    assert len(orbit.multipliers) == 1
+
+
+VAN_DER_POL = """
+def system(mu=1.0, r=0.8, s=1.9):
+    def rhs(y, t):
+        x, v = y
+        return v, mu * (1 - x * x) * v - x
+
+    wall = {"when": lambda y, t: y[0] - s, "direction": "up", "then": lambda y, t: (y[0], -r * y[1])}
+    return {"rhs": rhs, "coordinates": ("x", "v"), "jumps": [wall]}
+"""
+
+
+@pytest.mark.slow
+def test_a_cycle_without_a_clock_grazes(tmp_path, largest_x):
+    """Van der Pol's cycle touches the wall where that is as far as it is large, and the branch goes on."""
+    (tmp_path / "own.py").write_text(VAN_DER_POL)
+    (tmp_path / "own.yaml").write_text(
+        "system: {file: own.py}\ninitial: {x: -0.1, v: 0.3}\nsweep: {s: {start: 1.5, stop: 2.3, count: 5}}\n"
+        "section: {coordinate: x, value: 0, direction: up}\naccuracy: {target: 1.0e-9}\n"
+        "analyses:\n  branches: {max_period: 1, transient: 64, sensitivities: true}\n"
+    )
+    tree = session_of(jaxnh.load(tmp_path / "own.yaml")).tree()
+    branches, points = (tree[name].to_dataset() for name in ("branches", "bifurcations"))
+    assert {ENDS[int(branches[name][0])] for name in ("begins", "ends")} == {"range"}
+    [kind], [s], [error] = (points[name].values for name in ("kind", "s", "s_error"))
+    assert KINDS[kind] == "grazing"
+    assert abs(s - largest_x[0]) <= error + 1e-11  # of DOP853
+    assert error < 1e-11
+    by_r = points.isel(bifurcation=0).sel(parameter="r")
+    assert abs(by_r["s_sensitivity"]) <= by_r["s_sensitivity_error"] + 1e-12  # a touch has no impact
+
+
+PHASE = f"""
+import jax.numpy as jnp
+
+
+def system(omega={OMEGA}, r=0.8, s=0.0):
+    def rhs(y, t):
+        x, v, theta = y
+        return v, jnp.cos(theta) - x, omega + 0.0 * x
+
+    wall = {{"when": lambda y, t: y[0] - s, "direction": "up", "then": lambda y, t: (y[0], -r * y[1], y[2])}}
+    return {{"rhs": rhs, "coordinates": ("x", "v", "theta"), "angles": ("theta",), "jumps": [wall]}}
+"""
+
+
+@pytest.mark.slow
+def test_curves_of_impacting_orbits_on_a_section(tmp_path):
+    """With the drive's phase as a coordinate and its section in place of the clock: the closed form, each curve once."""
+    (tmp_path / "phase.py").write_text(PHASE)
+    (tmp_path / "phase.yaml").write_text(
+        "system: {file: phase.py}\ninitial: {x: -0.1, theta: -0.1}\nsweep: {s: {start: -0.2, stop: 0.3, count: 9}, "
+        "r: {start: 0.6, stop: 0.9, count: 3}}\nsection: {coordinate: theta, value: 0, direction: up}\n"
+        "accuracy: {target: 1.0e-8}\nanalyses:\n  curves: {max_period: 2, "
+        "n_values: 2, transient: 128, bifurcations: false, grazing: true, ds_max: 0.1}\n"
+    )
+    data = session_of(jaxnh.load(tmp_path / "phase.yaml")).tree()["curves"].to_dataset()
+    assert {CURVE_KINDS[kind] for kind in data["kind"].values} == {"grazing"}
+    smooth = np.flatnonzero(data["period"].values == 1)
+    assert len(smooth) == 1
+    assert np.nanmax(np.abs(data["s"].values[smooth] + FORCED) - data["s_error"].values[smooth]) <= 0.0
+    known = np.isfinite(data["duration"].values)
+    assert np.abs(data["duration"].values - data["period"].values[:, None] * 2 * np.pi / OMEGA)[known].max() < 1e-9
+    near = grazing_near(np.array([-0.47434507614, 7.91376931e-05]), 0.049134403319, 0.8, 2)
+    followed = 0
+    for k in np.flatnonzero(data["period"].values == 2):
+        at = np.isfinite(data["s"].values[k])
+        s, r, s_error, r_error = (data[name].values[k][at] for name in ("s", "r", "s_error", "r_error"))
+        first = int(np.argmin(np.abs(r - 0.8)))
+        exact = grazing_exactly(near, r[first], 2)
+        if abs(s[first] - exact[-1]) > 1e-6:
+            continue  # another orbit of two periods, which meets the wall later
+        followed += 1
+        for i in range(len(s)):
+            z = grazing_exactly(exact, r[i], 2)
+            slope = abs(grazing_exactly(z, r[i] + 1e-5, 2)[-1] - z[-1]) / 1e-5
+            assert abs(s[i] - z[-1]) <= s_error[i] + slope * r_error[i] + 1e-14
+    assert followed == 1
 
 
 @pytest.mark.slow

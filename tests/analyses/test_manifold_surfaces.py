@@ -289,7 +289,8 @@ def test_a_surface_that_turns_over():
         length=0.5,
         spacing=0.05,
     )
-    session = jaxnh.Session(turning_over, start={"x": 1.0, "y": 0.0, "z": 0.0}, target=1e-5)
+    # Outside the cycle: from the cycle itself rounding decides whether the motion comes to r = 0, where there is no field.
+    session = jaxnh.Session(turning_over, start={"x": 1.01, "y": 0.0, "z": 0.0}, target=1e-5)
     session = session.on(coordinate="y", value=0.0, direction="up")
     data = session.run(options, a=[0.1]).isel(a=0, saddle=0, surface=0)
     assert float(data["multiplier"]) == pytest.approx(-np.exp(0.2 * np.pi), rel=1e-3)

@@ -30,12 +30,15 @@ from jaxnh.orbits.collocation.cycles import closure, hold_parameters, solve_cycl
 from jaxnh.orbits.collocation.equations import BoundarySolution, Problem, combination, moved
 from jaxnh.orbits.collocation.following import CycleBranch, follow_cycles
 from jaxnh.orbits.collocation.newton import correct
+from jaxnh.orbits.collocation.paths import path_through, values_at
 from jaxnh.orbits.continuation.kinds import DOUBLING
 from jaxnh.orbits.continuation.paths import START, StepControl
 
 _TARGET = 1e-7  # error of the first cycle of a branch, that its mesh is chosen by
 _SAME = 1e-4  # of invariants, in sizes and widths: the cycle is on the branch
 _NEAR = 0.1  # likewise: it may be
+_REPEATS = 1e-5  # sizes, to which a cycle comes back before its last return: it has fewer
+_SAMPLED = 64  # places of a path that it may repeat
 _STILL = 1e-6  # sizes: a cycle smaller than this is an equilibrium
 
 
@@ -98,6 +101,10 @@ def _follow_on(
     start = _first_point(problem, guess, path_lift(batch.flow, guess.path))
     if start is None or _is_known(problem, followed, start, returns):
         return
+    if part := _repeated_part(problem, start.solution, path_lift(batch.flow, guess.path), returns):
+        shorter, times = part
+        _follow_on(problem, followed, shorter, returns // times, limit, ends, steps, batch, locate)
+        return
     lift = path_lift(batch.flow, guess.path)
     open_ = [(start, returns, lift, True)]
     while open_:
@@ -126,6 +133,24 @@ def _first_point(problem: Problem, guess: BoundarySolution, lift: Float[np.ndarr
     solution = cycle.solution._replace(values=guess.values)  # they are held, but for rounding
     point = point_at(problem, solution, lift, None)
     return remeshed_point(problem, point, cycle.solution.path.stages.shape[1] // 2)
+
+
+def _repeated_part(
+    problem: Problem, solution: BoundarySolution, lift: Float[np.ndarray, " d"], returns: int
+) -> tuple[BoundarySolution, int] | None:
+    """The part of a path that it repeats a prime number of times, and that number; None where it repeats none.
+
+    Orbits that meet walls begin paths of a smooth branch of the field, whose cycle may take fewer returns.
+    """
+    for times in (q for q in range(2, returns + 1) if returns % q == 0 and all(q % d for d in range(2, q))):
+        shares = np.linspace(0.0, 1.0, times * _SAMPLED + 1)
+        states = values_at(solution.path, shares[None])[0]
+        gaps = (states[_SAMPLED:] - states[:-_SAMPLED] - lift / times) / problem.size
+        if np.abs(gaps).max() < _REPEATS:
+            part, count = states[: _SAMPLED + 1], solution.path.stages.shape[1]
+            path, duration = path_through(solution.duration[0] * shares[: _SAMPLED + 1], part, -(-count // times))
+            return BoundarySolution(path, np.array([duration]), solution.values), times
+    return None
 
 
 def _is_known(problem: Problem, followed: Sequence[FollowedCycles], point: CyclePoint, returns: int) -> bool:

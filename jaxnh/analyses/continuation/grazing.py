@@ -8,6 +8,7 @@ wall or surface, or with one whose slowest impact is taken for a touch.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,6 +28,8 @@ from jaxnh.analyses.periodic.sensitivities import (
 )
 from jaxnh.maps.event_arcs import EventSequence, arc_end, arc_samples, event_sequence
 from jaxnh.maps.jumping import JumpingStrobe
+from jaxnh.maps.jumping_section import JumpingSection
+from jaxnh.maps.section import Section
 from jaxnh.orbits.bifurcations.grazing import (
     ArcEnds,
     ArcPlaces,
@@ -46,6 +49,7 @@ from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 _ROOM = 32  # events of a period
 _TILE = 32
+_ARCS = 8  # of an orbit that touches, that are computed at once: few orbits have more
 _TRIED = 4  # places of an orbit that may touch, those nearest first
 _REACH = 2.0  # chords between two points of a branch, within which the orbit that touches is
 _END = 1e-2  # lengths from the end of a branch, within which it is
@@ -86,12 +90,13 @@ class _TouchGuess(NamedTuple):
 
 
 def may_graze(batch: LaneBatch) -> bool:
-    """Return whether a batch has walls or surfaces that its orbits may graze, with a clock, and not held."""
+    """Return whether a batch has walls or surfaces that its orbits may graze, and not held."""
     flow = batch.flow
-    if not isinstance(flow, PiecewiseSmooth) or flow.autonomous or batch.family is not None:
+    if not isinstance(flow, PiecewiseSmooth) or batch.family is not None:
         return False
     plain = type(flow).branch is PiecewiseSmooth.branch and not (flow.holding or flow.constrained or flow.many_surfaces)
-    return plain and batch.precision == "float64" and isinstance(batch.strobe(), JumpingStrobe)
+    returns = JumpingSection if isinstance(batch.system, Section) else JumpingStrobe
+    return plain and batch.precision == "float64" and isinstance(batch.strobe(), returns)
 
 
 class Grazing(NamedTuple):
@@ -138,10 +143,10 @@ def grazing_orbits(
 ) -> list[Grazing]:
     """The orbits that touch along branches; that of two branches with each of them."""
     name, ends = batch.first_axis.name, (np.array([family.low]), np.array([family.high]))
-    problems = [arc_problem(batch, lanes, (name,), ends, size, more) for more in REFINEMENTS]
-    grazing = list[Grazing]()
-    for number, branch in enumerate(tree.branches):
-        events = _events(batch, lanes, branch)
+    events_of_all, grazing = [_events(batch, lanes, branch) for branch in tree.branches], list[Grazing]()
+    longest = max((float(np.nanmax(events.duration)) for events in events_of_all), default=batch.flow.period)
+    problems = [arc_problem(batch, lanes, (name,), ends, size, longest, more) for more in REFINEMENTS]
+    for number, (branch, events) in enumerate(zip(tree.branches, events_of_all, strict=True)):
         for change in _changes(family, branch, events):
             orbit = _first_grazing(problems[0], batch, family, branch, events, change)
             orbits = orbit and _refined(problems, orbit)
@@ -155,11 +160,18 @@ def arc_problem(
     names: tuple[str, ...],
     ends: tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]],
     size: Float[np.ndarray, " d"],
+    longest: float,
     refinement: int = 1,
 ) -> ArcProblem:
-    """Arcs of the flow of a batch over parameters with names, between the ends of their ranges."""
-    flow, solver = batch.flow, batch.solver
-    steps = batch.steps * refinement
+    """Arcs of the flow of a batch over parameters with names, between the ends of their ranges.
+
+    Args:
+        size: of the motion in section coordinates.
+        longest: time of a return; with a clock every one takes its period.
+    """
+    flow, system, solver = batch.flow, batch.system, batch.solver
+    given, period = (system.number, longest) if isinstance(system, Section) else (None, float(flow.period))
+    steps = math.ceil(period / flow.period * batch.steps) * refinement
     few = -(-steps // 16)  # between the places of samples, of which there are more
 
     def at(values: np.ndarray) -> dict[str, np.ndarray]:
@@ -168,20 +180,21 @@ def arc_problem(
 
     def ends_of(start: np.ndarray, length: np.ndarray, side: np.ndarray, event: np.ndarray, values: np.ndarray):
         own = (start, length, side, event.astype(np.int32), values, at(values))
-        shared = (flow, solver, np.int32(steps), float(flow.period))
-        known = lanes(arc_end, shared, own, tile=_TILE, static=(names,), spread=False)
+        shared = (system, solver, np.int32(steps), period)
+        known = lanes(arc_end, shared, own, tile=_ARCS, static=(names,), spread=False)
         end, by_start, by_length, by_values = (ArcEnds(*map(np.array, part)) for part in known)
         return end, by_start, by_length, by_values
 
     def places_of(start: np.ndarray, length: np.ndarray, side: np.ndarray, values: np.ndarray):
         known = lanes(
-            arc_samples, (flow, solver, np.int32(few)), (start, length, side, at(values)), tile=_TILE, spread=False
+            arc_samples, (flow, solver, np.int32(few)), (start, length, side, at(values)), tile=_ARCS, spread=False
         )
         return ArcPlaces(*map(np.asarray, known))
 
     assert isinstance(flow, PiecewiseSmooth)
     rising = np.array([way != "both" for way in flow.jumps] + [False] * flow.switches)
-    return ArcProblem(ends_of, places_of, rising, batch.chart.wrap, size, float(flow.period), *ends)
+    size = size if given is None else np.insert(size, given, size.max())
+    return ArcProblem(ends_of, places_of, rising, flow.chart.wrap, size, period, *ends, given)
 
 
 # ---- derivatives in all other parameters
@@ -201,12 +214,13 @@ def grazing_sensitivities(
     """
     first, *names = parameter_names(batch)
     ends, size = (np.array([-1.0]), np.array([1.0])), np.ones(batch.chart.dimension)
+    longest = max((float(np.sum(orbit[0].length)) / len(orbit[0].points) for orbit in grazing), default=1.0)
     absent, results = dict[str, str](), np.full((2, 2, len(grazing), len(names)), np.nan)
     for column, name in enumerate(names):
 
         def shifted(shift: float, refinement: int, name: str = name) -> ArcProblem:
             near = shifted_batch(batch, name, shift)
-            return arc_problem(near, lanes, (first,), ends, size, refinement)
+            return arc_problem(near, lanes, (first,), ends, size, longest, refinement)
 
         try:
             shifted(SMALLEST_SHIFT * scale_of(batch, name), 1)
@@ -256,12 +270,12 @@ def _changes(family: Family, branch: Branch, events: EventSequence) -> list[_Cha
     return [*changes, *([_Change(max(last - 1, 0), 1, [last], _END)] if lost[1] and known[-1] else [])]
 
 
-def arcs_of(events: EventSequence, place: int, n: int, period: float) -> Arcs | None:
+def arcs_of(events: EventSequence, place: int, n: int) -> Arcs | None:
     """The arcs of an orbit of n periods from the events of all orbits of a branch; None where events coincide."""
     start, lengths, numbers, sides, surfaces = [], [], [], [], events.side.shape[-1]
     for i in range(n):
         k = int(events.met[place, i])
-        time = np.concatenate([[0.0], events.time[place, i, :k], [period]])
+        time = np.concatenate([[0.0], events.time[place, i, :k], events.duration[place, i, None]])
         start.append(np.concatenate([events.state[place, i, : k + 1], time[: k + 1, None]], axis=1))
         lengths.append(np.diff(time))
         numbers.append(np.append(events.number[place, i, :k], 2 * surfaces))
@@ -284,7 +298,7 @@ def _first_grazing(
 ) -> GrazingOrbit | None:
     """The orbit that touches near the first of some points of a branch that has one; or None."""
     for seed in change.seeds:
-        arcs, values = arcs_of(events, seed, branch.period, batch.flow.period), branch.value[[seed]]
+        arcs, values = arcs_of(events, seed, branch.period), branch.value[[seed]]
         for guess in _guesses(problem, batch, arcs, values)[:_TRIED] if arcs else []:
             orbit = grazing_orbit(problem, guess.sequence, guess.start, guess.length, values)
             if orbit is None or not _is_near(family, branch, seed, orbit, change.reach):

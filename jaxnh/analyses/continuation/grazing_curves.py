@@ -18,6 +18,7 @@ from jaxnh.analyses.continuation.families import orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.analyses.continuation.grazing import REFINEMENTS, arc_problem, grazing_orbits, may_graze
 from jaxnh.analyses.options.orbits import CurvesOptions
+from jaxnh.analyses.periodic.flow_cycles import duration_of
 from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.orbits.bifurcations.grazing import ArcProblem, ArcSequence, GrazingEquations, GrazingOrbit
 from jaxnh.orbits.continuation import core, paths
@@ -48,7 +49,10 @@ def grazing_curves(
     """All curves of orbits that meet walls or surfaces and touch, each once; arguments as of `condition_curves`."""
     if not may_graze(batches[0]):
         return []
-    problems = [arc_problem(batches[0], lanes, names, ends, unit, more) for more in REFINEMENTS]
+    longest = max((_longest_return(*each, lanes) for each in zip(batches, waves, strict=True)), default=0.0)
+    if not longest:
+        return []
+    problems = [arc_problem(batches[0], lanes, names, ends, unit, longest, more) for more in REFINEMENTS]
     steps, reach, followed = step_control(options), (float(ends[0][0]), float(ends[1][0])), list[_GrazingCurve]()
     for batch, seeds in zip(batches, waves, strict=True):
         second = float(batch.p[names[1]][0])
@@ -60,6 +64,13 @@ def grazing_curves(
                     followed += _new_curve(problems[0], followed, grazing.orbits[0], second, steps)
     surfaces = surface_names(batches[0].flow)
     return [_curve(problems, curve, surfaces[curve.sequence.surface]) for curve in followed]
+
+
+def _longest_return(batch: LaneBatch, waves: Sequence[Sequence[SeedOrbit]], lanes: LaneRunner) -> float:
+    """The longest return, on average, of the orbits to begin with; 0 without any."""
+    seeds = [seed for wave in waves for seed in wave]
+    times = (duration_of(batch.at_values(np.array([s.value])), lanes, s.points) / len(s.points) for s in seeds)
+    return max(times, default=0.0)
 
 
 def _new_curve(
@@ -95,7 +106,6 @@ def _curve(problems: Sequence[ArcProblem], curve: _GrazingCurve, surface: str) -
     width = problems[0].high - problems[0].low
     rounding = np.spacing(np.abs(second)) + points.z.shape[1] * np.finfo(float).eps * width
     errors = np.abs(second - first) + np.abs(third - second) + rounding
-    n = len(curve.sequence.first)
-    durations = np.full(len(second), n * problems[0].period)
+    n, durations = len(curve.sequence.first), equations[1].parts(places[1])[1].sum(axis=1)
     condition = CycleCondition(GRAZING, surface, 0.0)
     return ConditionCurve(condition, n, second, errors, durations, multipliers, curve.track.ends, places[1])

@@ -120,7 +120,7 @@ def _follow_from_start(
         States (lanes, periods), how far apart each is after a period by half the steps, and the steps.
 
     Raises:
-        LostLaneError: the most steps that are tried lose a lane whose motion stays finite.
+        LostLaneError: the most steps that are tried lose a lane whose motion stays finite; of a lane's own, all lanes.
     """
     while True:
         states, apart, last = _follow_by(maps, start, steps)
@@ -128,9 +128,11 @@ def _follow_from_start(
             return start._replace(states=states), apart, steps
         steps *= 2
         if steps * maps.scheme.reference.stages > _MOST_SEED_KICKS:
-            if maps.adaptive:
-                return start._replace(states=states), apart, steps
-            raise _stiff(start, stays)
+            some = np.any(np.all([np.isfinite(leaf) for leaf in image_of(last)], axis=0))
+            why = "" if maps.adaptive and some else _lost_rank(maps, start, states, stays)
+            if why or not maps.adaptive:
+                raise _stiff(start, stays, why)
+            return start._replace(states=states), apart, steps
 
 
 def _follow_by(
@@ -171,6 +173,15 @@ def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: Stat
             returns = np.diff(every.t, axis=1)
         length = _RETURNS_FOLLOWED * float(np.max(returns, initial=0.0, where=np.isfinite(returns)))
     return _stays_finite(maps, start._replace(states=before), after, lost, length)
+
+
+def _lost_rank(maps: SampleMaps, start: Samples, states: State, lane: int) -> str:
+    """Explain what matrix is singular where a lane is lost; "" where none is."""
+    finite = np.stack([np.isfinite(leaf[lane]) for leaf in jax.tree.leaves(states)]).all(axis=0)
+    last = int(np.argmin(finite)) - 1
+    before = jax.tree.map(lambda leaf: leaf[lane, last], states)
+    p = jax.tree.map(lambda leaf: leaf[lane], dict(start.p))
+    return lost_rank(maps.flows[int(start.row[lane])], before, p)
 
 
 def _one_by_one(samples: Samples) -> Samples:
@@ -238,9 +249,10 @@ def _stays_finite(
     return int(picked[np.argmax(arrived)]) if np.any(arrived) else -1
 
 
-def _stiff(samples: Samples, lane: int) -> LostLaneError:
-    """The error that steps do not follow the motion of a lane."""
-    return LostLaneError(f"at {samples.place(lane)} steps do not follow a motion that stays finite: it is stiff")
+def _stiff(samples: Samples, lane: int, why: str = "") -> LostLaneError:
+    """The error that steps do not follow the motion of a lane, with what is singular there."""
+    reason = f"the motion: {why}" if why else "a motion that stays finite: it is stiff"
+    return LostLaneError(f"at {samples.place(lane)} steps do not follow {reason}")
 
 
 def _settles(maps: SampleMaps, samples: Samples, steps: int, states: State) -> bool:

@@ -79,17 +79,18 @@ class ArcPlaces(NamedTuple):
 
 
 class ArcProblem(NamedTuple):
-    """Arcs of a flow with a clock.
+    """Arcs of a flow with a clock, or of one without from crossing to crossing of a section.
 
     Attributes:
         ends: of arcs that begin at (arcs, d + 1), of lengths (arcs,), with sides (arcs, k) and events (arcs,), at
             values of parameters (arcs, q): they, and their derivatives in the beginning, the length and the values.
         places: along arcs with the same arguments but for events.
         rising: which walls are met only where their heights rise, (k,).
-        wrap: angles in differences of points.
+        wrap: angles in differences of states.
         size: of the motion, (d,).
-        period: of the clock.
+        period: of the clock; without one the longest return.
         low, high: ends of the ranges of the parameters, (q,).
+        given: number of the coordinate that the section gives; none with a clock.
     """
 
     ends: Callable[..., tuple[ArcEnds, ArcEnds, ArcEnds, ArcEnds]]
@@ -100,6 +101,7 @@ class ArcProblem(NamedTuple):
     period: float
     low: Float[np.ndarray, " q"]
     high: Float[np.ndarray, " q"]
+    given: int | None = None
 
 
 class GrazingOrbit(NamedTuple):
@@ -110,7 +112,8 @@ class GrazingOrbit(NamedTuple):
         start: coordinates and times where they begin, (m, d + 1).
         length: of them, (m,).
         values: of the parameters, (q,).
-        multipliers: those of the side on which the orbit does not reach what it touches, (d,).
+        points: where periods begin, by section coordinates, (n, e).
+        multipliers: those of the side on which the orbit does not reach what it touches, (e,).
         rounding: of the parameters, by what Newton's steps come down to, (q,).
     """
 
@@ -118,21 +121,19 @@ class GrazingOrbit(NamedTuple):
     start: Float[np.ndarray, "m more"]
     length: Float[np.ndarray, " m"]
     values: Float[np.ndarray, " q"]
-    multipliers: Complex[np.ndarray, " d"]
+    points: Float[np.ndarray, "n e"]
+    multipliers: Complex[np.ndarray, " e"]
     rounding: Float[np.ndarray, " q"]
-
-    @property
-    def points(self) -> Float[np.ndarray, "n d"]:
-        """The orbit's points at the beginnings of periods."""
-        return self.start[self.sequence.first, :-1]
 
     def turned(self) -> Iterator[GrazingOrbit]:
         """The same orbit from each of its periods on."""
         (event, side, touch), m = self.sequence, len(self.length)
-        for k in self.sequence.first.tolist():
+        for number, k in enumerate(self.sequence.first.tolist()):
             sequence = ArcSequence(np.roll(event, -k), np.roll(side, -k, axis=0), (touch - k) % m)
             start, length = np.roll(self.start, -k, axis=0), np.roll(self.length, -k)
-            yield self._replace(sequence=sequence, start=start, length=length)
+            yield self._replace(
+                sequence=sequence, start=start, length=length, points=np.roll(self.points, -number, axis=0)
+            )
 
 
 class GrazingEquations(EquationsOfPaths):
@@ -168,7 +169,9 @@ class GrazingEquations(EquationsOfPaths):
         (start,), (length,), (values,) = self.parts(z[None])
         (left,) = self.parts(step[None])[2]
         rounding = np.abs(left) + np.spacing(np.abs(values))
-        return GrazingOrbit(self._sequence, start, length, values, self.multipliers(blocks[None])[0], rounding)
+        points, given = start[self._sequence.first, :-1], self._problem.given
+        points = points if given is None else np.delete(points, given, axis=1)
+        return GrazingOrbit(self._sequence, start, length, values, points, self.multipliers(blocks[None])[0], rounding)
 
     def missing(self, orbit: GrazingOrbit) -> Float[np.ndarray, " rows"]:
         """Residual at an orbit of another problem, in its units."""
@@ -251,14 +254,18 @@ class GrazingEquations(EquationsOfPaths):
             ~known | np.any(over.reshape(lanes, -1), axis=1) | np.any(length < -_NO_TIME * self._problem.period, axis=1)
         )
 
-    def multipliers(self, blocks: Float[np.ndarray, "lanes m e e"]) -> Complex[np.ndarray, "lanes d"]:
-        """Multipliers of the points at the beginning of a period, whose time does not vary."""
+    def multipliers(self, blocks: Float[np.ndarray, "lanes m e e"]) -> Complex[np.ndarray, "lanes e"]:
+        """Multipliers of the points at the beginning of a period, whose time does not vary.
+
+        Without a clock what is off the section ends on it, so that one of all eigenvalues is zero, and none of these.
+        """
         whole: np.ndarray = np.tile(np.eye(self._d + 1), (len(blocks), 1, 1))
         for k in range(blocks.shape[1]):
             whole = blocks[:, k] @ whole
         known = np.asarray(np.isfinite(whole).all(axis=(1, 2)))
         values = np.linalg.eigvals(np.where(known[:, None, None], whole, 0.0)[:, :-1, :-1]).astype(complex)
         values = np.take_along_axis(values, np.lexsort((np.imag(values), -np.abs(values)), axis=-1), axis=-1)
+        values = values if self._problem.given is None else values[:, :-1]
         return np.where(known[:, None], values, np.nan)
 
 
