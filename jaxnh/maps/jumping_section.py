@@ -145,7 +145,7 @@ class JumpingSection(ReturnMap):
         return self.iterate(1, state, p)
 
     def iterate(self, n: ArrayLike, state: Crossing, p: Parameters) -> Crossing:
-        return self._arrived(state, self._searched(n, state, Moving(state.state), (), p, []))
+        return self._arrived(state, _last_of(*self._approach(n, state, Moving(state.state), (), p, [])))
 
     def pushforward(
         self, state: Crossing, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
@@ -154,7 +154,7 @@ class JumpingSection(ReturnMap):
         own, zero = own_parameters(self.system.flow, p), jnp.zeros_like(state.t)
         by_p: list[Any] = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         start = Moving(state.state, tuple(t.state.state for t in tangents), zero if volume else None)
-        ended = self._searched(1, state, start, tuple(t.state.t for t in tangents), p, by_p)
+        ended = _last_of(*self._approach(1, state, start, tuple(t.state.t for t in tangents), p, by_p))
         moving = ended.march.moving
         pushed = tuple(
             Tangent(Crossing(dz, later, zero), t.p)
@@ -169,19 +169,6 @@ class JumpingSection(ReturnMap):
         surfaces = len(first.march.side) - 1
         return Trials(first, unfinished, advance, lambda search: search.march, lambda search: search.t, surfaces)
 
-    def _searched(
-        self,
-        n: ArrayLike,
-        start: Crossing,
-        at_begin: Moving,
-        by_tangent: tuple[Array, ...],
-        p: Parameters,
-        by_p: list[Any],
-    ) -> _Approach:
-        """Steps until n crossings are met, or there is no hope of the next one."""
-        first, unfinished, advance = self._approach(n, start, at_begin, by_tangent, p, by_p)
-        return lax.while_loop(unfinished, lambda search: advance(search)[0], as_batched(first, start.t))
-
     def _approach(
         self,
         n: ArrayLike,
@@ -191,7 +178,10 @@ class JumpingSection(ReturnMap):
         p: Parameters,
         by_p: list[Any],
     ) -> tuple[_Approach, Callable[[_Approach], Array], Callable[[_Approach], tuple[_Approach, Arrival]]]:
-        """The beginning of that loop, whether it goes on, and one trial with the event that it may have ended at."""
+        """Trials until n crossings are met, or there is no hope of the next one.
+
+        The first of them, whether one is left, and one of them with the event that it may have ended at.
+        """
         grid = jnp.stack([jnp.zeros_like(jnp.asarray(self.step)), jnp.asarray(self.step)])
         lane = _EqualSteps(_with_section(self.system), self.solver, grid, self.most_steps).lane(
             p, by_p, volume=at_begin.log_volume is not None
@@ -252,6 +242,15 @@ class JumpingSection(ReturnMap):
         reason = jnp.where(crossed, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
         y = tuple(jnp.where(crossed, x, jnp.nan) for x in march.moving.state.y)
         return Crossing(march.moving.state._replace(y=y, reason=reason), jnp.where(crossed, ended.t, jnp.nan), reason)
+
+
+def _last_of(
+    first: _Approach,
+    unfinished: Callable[[_Approach], Array],
+    advance: Callable[[_Approach], tuple[_Approach, Arrival]],
+) -> _Approach:
+    """The last of all trials."""
+    return lax.while_loop(unfinished, lambda search: advance(search)[0], as_batched(first, first.t))
 
 
 def _with_section(section: Section) -> _WithSection:

@@ -98,14 +98,14 @@ def _follow_on(
     locate: bool,
 ) -> None:
     """Follow the branch of a cycle and those of doubled ones, where they are new."""
-    start = _first_point(problem, guess, path_lift(batch.flow, guess.path))
+    lift = path_lift(batch.flow, guess.path)
+    start = _first_point(problem, guess, lift)
     if start is None or _is_known(problem, followed, start, returns):
         return
-    if part := _repeated_part(problem, start.solution, path_lift(batch.flow, guess.path), returns):
+    if part := _repeated_part(problem, start.solution, lift, returns):
         shorter, times = part
         _follow_on(problem, followed, shorter, returns // times, limit, ends, steps, batch, locate)
         return
-    lift = path_lift(batch.flow, guess.path)
     open_ = [(start, returns, lift, True)]
     while open_:
         point, n, lift, both_ways = open_.pop(0)

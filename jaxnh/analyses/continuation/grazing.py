@@ -90,12 +90,12 @@ class _TouchGuess(NamedTuple):
 
 
 def may_graze(batch: LaneBatch) -> bool:
-    """Return whether a batch has walls or surfaces that its orbits may graze, and not held."""
-    flow = batch.flow
-    if not isinstance(flow, PiecewiseSmooth) or batch.family is not None:
+    """Return whether a batch has walls or surfaces that orbits may graze, with a clock or section, and not held."""
+    flow, sectioned = batch.flow, isinstance(batch.system, Section)
+    if not isinstance(flow, PiecewiseSmooth) or batch.family is not None or flow.autonomous != sectioned:
         return False
     plain = type(flow).branch is PiecewiseSmooth.branch and not (flow.holding or flow.constrained or flow.many_surfaces)
-    returns = JumpingSection if isinstance(batch.system, Section) else JumpingStrobe
+    returns = JumpingSection if sectioned else JumpingStrobe
     return plain and batch.precision == "float64" and isinstance(batch.strobe(), returns)
 
 
