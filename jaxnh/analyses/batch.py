@@ -219,7 +219,7 @@ def iterate_units(system: System) -> str:
         return "crossings"
     if not system.flow.autonomous:
         return "periods" if system.flow.continuous else "iterates"
-    return "units of time 2 pi/omega" if "omega" in system.flow.parameters else "units of time"
+    return system.flow.labels.iterates
 
 
 def keep_all(result: Any) -> tuple[Any, Any]:

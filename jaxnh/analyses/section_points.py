@@ -5,12 +5,12 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.maps.section import Crossing, Section, System, rates
-from jaxnh.systems.flow import Parameters
-from jaxnh.systems.state import State
+from jaxnh.maps.section import Crossing, Section, System, rates, reports
+from jaxnh.systems.flow import NOT_FINITE, Parameters
+from jaxnh.systems.state import State, is_finite
 
 _STILL = 1e-9  # of the largest rates: integrators keep equilibria to rounding
 
@@ -67,6 +67,19 @@ def points_and_end(
     p, strobe = dict(batch.p), batch.strobe()
     state = lanes.iterate(strobe, wait, (state, p), tile=tile) if wait else state
     return lanes.observe(strobe, count, (state, p), _point_of, (batch.system,), tile=tile)
+
+
+def statuses(
+    batch: LaneBatch, state: State, finite: Bool[np.ndarray, " lanes"] | None = None
+) -> Int[np.ndarray, " lanes"]:
+    """Return the status of lanes, numbers of `STATUS`, from their last states.
+
+    Args:
+        finite: which lanes are, where more is known of them than their last states.
+    """
+    ended = np.asarray(reports(batch.flow, jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], state))["status"].data)
+    finite = is_finite(state) if finite is None else finite
+    return np.where(finite, 0, np.where(ended > 0, ended, NOT_FINITE)).astype(int)
 
 
 def shear_along_flow(

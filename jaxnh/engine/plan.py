@@ -124,10 +124,10 @@ def find_or_keep_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneE
     name = calibrations.name_of(experiment, lanes.devices, lanes.tile, "plan of a session")
     if kept := calibrations.find(name):
         lanes.accounts.fastest = min(lanes.accounts.fastest, kept.fastest)
-        return solver_plan(kept.plan)
+        return solver_plan(kept.plan)._replace(rehearsed=kept.rehearsed)
     plan = find_plan(experiment, axes, lanes, requested)
     if experiment.flow().continuous:
-        calibrations.keep(name, Decision(numerical_plan(plan, {}), lanes.accounts.fastest))
+        calibrations.keep(name, Decision(numerical_plan(plan, {}), lanes.accounts.fastest, plan.rehearsed))
     return plan
 
 
@@ -310,7 +310,7 @@ def decide(
         plan = with_step_classes(experiment, axes, plan, requested, lanes)
         with lanes.stage("accuracy: settings of analyses on sample lanes", 0):
             chosen = choose(experiment, axes, plan, requested, lanes)
-        calibrations.keep(name, Decision(numerical_plan(plan, chosen), lanes.accounts.fastest))
+        calibrations.keep(name, Decision(numerical_plan(plan, chosen), lanes.accounts.fastest, plan.rehearsed))
     how = machine or lanes.machine, tile, parts
     return job_of(experiment, axes, plan, chosen, requested, *how, on_card=lanes.on_card)
 

@@ -35,6 +35,7 @@ from jaxnh.engine.plan import (
     job_of,
     start_samplers,
     with_step_classes,
+    work_of,
 )
 from jaxnh.engine.progress import CallbackProgress, NullProgress, Progress
 from jaxnh.engine.result_attributes import attributes
@@ -269,6 +270,8 @@ class Session:
             if _lies_within(axes, known) and sectioned >= experiment.sectioned and starts >= drawn:
                 if short and not is_short(experiment, axes, plan, requested):
                     continue  # solvers were not compared, and a longer run is worth it
+                if not plan.is_rehearsed(work_of(requested, experiment.sweep.lanes)):
+                    continue  # a longer run meets what is more violent
                 return plan
         if _lies_within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes

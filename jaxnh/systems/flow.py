@@ -69,11 +69,13 @@ class Labels(NamedTuple):
         units: "1" where there is none, `UNSAID` where nobody says which.
         planes: pairs of coordinates that a motion may be drawn over, the first choice first: the first position and its
             velocity.
+        iterates: the unit that iterates count without a clock, in the plural.
     """
 
     long_names: Mapping[str, str]
     units: Mapping[str, str]
     planes: tuple[tuple[str, str], ...]
+    iterates: str = "units of time"
 
 
 class Flow(eqx.Module):

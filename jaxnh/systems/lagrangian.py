@@ -301,7 +301,7 @@ class Lagrangian(DefinedFlow):
 
     def outputs(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
         """Coordinates and velocities of states by name, in the order of `coordinates`."""
-        words, units, _ = self.labels
+        words, units = self.labels.long_names, self.labels.units
         outputs: dict[str, Output] = {}
         for name, q, is_angle in zip(self.names, y.q, self.angles, strict=True):
             outputs[name] = Output(wrap_angle(q) if is_angle else q, words[name], {"units": units[name]})

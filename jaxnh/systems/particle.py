@@ -39,7 +39,12 @@ _LONG_NAMES = {
     "y1": "position y1",
     "y2": "velocity y2",
 }
-LABELS = Labels(_LONG_NAMES, dict.fromkeys((*_LONG_NAMES, "t"), "1"), (("x1", "x2"), ("y1", "y2")))
+LABELS = Labels(
+    long_names=_LONG_NAMES,
+    units=dict.fromkeys((*_LONG_NAMES, "t"), "1"),
+    planes=(("x1", "x2"), ("y1", "y2")),
+    iterates="units of time 2 pi/omega",
+)
 """Names of the paper's parameters and coordinates."""
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(12)

@@ -10,8 +10,9 @@ import jax
 import numpy as np
 import pytest
 
+import jaxnh
 from jaxnh.analyses.base import LANE, OptionError, Setting, SweepLanes
-from jaxnh.analyses.batch import Axis
+from jaxnh.analyses.batch import Axis, iterate_units
 from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
@@ -155,6 +156,15 @@ def test_words_without_a_clock(lanes):
         data = lyapunov.run(options, scene, lanes)
         assert data["averaging_periods"].attrs["counted_in"] == unit
         assert data["kaplan_yorke"].attrs["long_name"] == f"Kaplan–Yorke dimension of the {of}"
+
+
+def test_a_parameter_called_omega_makes_no_clock():
+    def rotor(omega=2.0):
+        return {"rhs": lambda y, t: (omega * y[1], -omega * y[0]), "coordinates": ("x", "v")}
+
+    still = constant_speed(without=("forcing",))
+    assert iterate_units(still) == "units of time 2 pi/omega"
+    assert iterate_units(jaxnh.Session(rotor, start={"x": 1.0, "v": 0.0}).experiment.flow()) == "units of time"
 
 
 # ---- options that a sweep has no place for

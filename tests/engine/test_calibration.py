@@ -223,6 +223,11 @@ def test_steps_follow_what_is_violent_after_many_returns():
     first, again = (call.args[3] for call in rehearsals.call_args_list)  # as steps that lose a lane in a rehearsal
     assert again == 2 * first
     assert list(found["status"].to_numpy()) == [0, 0, 0, NOT_FINITE]
+    with mock.patch("jaxnh.engine.accuracy.calibration.are_lost_by", return_value=False) as rehearsals:
+        session.run("diagram", jaxnh.Diagram(transient=1, strobes=20), a=a)
+        rehearsals.assert_not_called()
+        session.run("diagram", jaxnh.Diagram(transient=61, strobes=40), a=a)
+    assert [call.args[4] for call in rehearsals.call_args_list] == [100]  # longer than what was tried before
     for lane, value in enumerate(a[:3]):
         truth = solve_ivp(
             lambda t, y, value=value: hyperchaotic_roessler(value)["rhs"](y, t),

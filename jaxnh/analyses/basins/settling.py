@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
-from jaxnh.analyses.section_points import points_at, states_at
+from jaxnh.analyses.section_points import points_at, states_at, statuses
 from jaxnh.analyses.window_averages import WindowAverages, average_window, units
-from jaxnh.maps.section import reports
-from jaxnh.systems.flow import NOT_FINITE, STATUS, Flow
+from jaxnh.systems.flow import STATUS
 from jaxnh.systems.state import State, is_finite
 
 SETTLED_TO = 1e-4
@@ -88,7 +86,7 @@ def settle(batch: LaneBatch, lanes: LaneRunner, transient: int, longest: int, st
     scale = units(np.array(batch.chart.angles), np.fmax(first.largest, window.largest))
     records.gap[finite] = _gap(window, scale)
     records.means[finite], records.unit[finite] = window.whole, 2.0 * SETTLED_TO * scale
-    _fail(records, finite, batch.flow, window.state)
+    _fail(records, finite, batch, window.state)
     left = records.known[finite] == OPEN
     _extend_windows(batch, lanes, records, finite[left], select(window.state, left), transient, longest)
     return records
@@ -121,7 +119,7 @@ def _extend_windows(
         window = average_window(active_batch, lanes, state, elapsed)
         elapsed *= 2
         records.time[active] = elapsed
-        _fail(records, active, batch.flow, window.state)
+        _fail(records, active, batch, window.state)
         finite = is_finite(window.state)
         active, window = active[finite], select(window, finite)
         if not len(active):
@@ -163,12 +161,8 @@ def _escape(
     records.known[subset[gone]], records.status[subset[gone]] = FAILED, STATUS.index("escaped")
 
 
-def _fail(records: LaneRecords, subset: Int[np.ndarray, " some"], flow: Flow, state: State) -> None:
+def _fail(records: LaneRecords, subset: Int[np.ndarray, " some"], batch: LaneBatch, state: State) -> None:
     """Mark lanes whose state is not finite, with their reasons."""
-    gone = ~is_finite(state)
-    if not np.any(gone):
-        return
-    ended = jax.tree.map(lambda leaf: leaf[gone][:, None], state)
-    status = np.asarray(reports(flow, ended)["status"].data)
-    records.known[subset[gone]] = FAILED
-    records.status[subset[gone]] = np.where(status > 0, status, NOT_FINITE)
+    status = statuses(batch, state)
+    gone = status > 0
+    records.known[subset[gone]], records.status[subset[gone]] = FAILED, status[gone]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
@@ -15,7 +14,8 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.manifolds.surfaces import ENDS, SurfaceMesh
 from jaxnh.analyses.manifolds.tables import KINDS, SIZES, named_points
 from jaxnh.analyses.options.orbits import ManifoldsOptions
-from jaxnh.systems.flow import NOT_FINITE, status
+from jaxnh.analyses.section_points import statuses
+from jaxnh.systems.flow import status
 
 LENGTHS = {
     "equilibria": "arc length of the motion from the saddle",
@@ -68,7 +68,6 @@ def surface_variables(
                 end[at], gaps[at] = surface.end, surface.gaps
     dims, flow = (LANE, "saddle", "surface"), batch.without_section()
     repeated = np.tile(np.array(kinds), (batch.count, 1))
-    finite = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(batch.start)], axis=0)
     corners = "numbers of the points that are corners of a triangle, the first is 0"
     return {
         "surface_kind": flag((LANE, "surface"), repeated, "kind of manifold that the surface is of", KINDS),
@@ -81,7 +80,7 @@ def surface_variables(
         "triangles": number_variable((*dims, "triangle", "corner"), triangles, corners, ("none",), -1),
         "end": flag(dims, end, "how the surface ends", ENDS),
         "gaps": variable(dims, gaps, "pairs of neighbouring motions that the surface is open between"),
-        "status": as_variable(LANE, status(np.where(finite | (made.number > 0), 0, NOT_FINITE))),
+        "status": as_variable(LANE, status(np.where(made.number > 0, 0, statuses(batch, batch.start)))),
     }
 
 

@@ -18,9 +18,9 @@ from jaxnh.analyses.manifolds.curves import ENDS
 from jaxnh.analyses.manifolds.saddles import Saddles
 from jaxnh.analyses.manifolds.tangencies import KEPT, Tangencies
 from jaxnh.analyses.options.orbits import ManifoldsOptions
-from jaxnh.analyses.section_points import states_at
+from jaxnh.analyses.section_points import states_at, statuses
 from jaxnh.maps.section import outputs, plot_plane
-from jaxnh.systems.flow import NOT_FINITE, status
+from jaxnh.systems.flow import status
 
 KINDS = ("unstable", "stable")
 """Meanings of the flags 0 and 1 of `branch_kind`."""
@@ -77,8 +77,7 @@ def variables(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner, ma
         entries |= _of_crossings(options, batch, lanes, made, *made.crossings)
     if made.tangencies is not None:
         entries |= _of_tangencies(options, batch, made, *made.tangencies)
-    finite = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(batch.start)], axis=0)
-    entries["status"] = as_variable(LANE, status(np.where(finite | (numbers > 0), 0, NOT_FINITE)))
+    entries["status"] = as_variable(LANE, status(np.where(numbers > 0, 0, statuses(batch, batch.start))))
     return entries
 
 

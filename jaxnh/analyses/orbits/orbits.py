@@ -23,11 +23,11 @@ from jaxnh.analyses.orbits.measurement import measure
 from jaxnh.analyses.orbits.search import WINDOWS, search, search_neighbours
 from jaxnh.analyses.orbits.symmetry import add_images, check_signs
 from jaxnh.analyses.orbits.tables import OWN_NAMES, LaneOrbits, counts_group, counts_table, orbits_group
-from jaxnh.analyses.periodic.attractor_survey import first_points
+from jaxnh.analyses.periodic.attractor_survey import first_places
 from jaxnh.analyses.periodic.close_returns import WINDOW
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.analyses.section_points import points_after
+from jaxnh.analyses.section_points import points_after, points_and_end, states_at, statuses
 
 _NEWTON = 60.0  # periods of a start of Newton for each return, the tangents of a period counted: a guess
 _ROUNDS = 8  # that are made of most lanes
@@ -49,10 +49,17 @@ def check(options: OrbitsOptions, setting: Setting) -> None:
 
 
 def run(options: OrbitsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
-    """Return the point of every lane after the transient."""
+    """Return the point of every lane after the transient, and its status there."""
     with lanes.stage(f"orbits: {batch.count} lanes to their attractors", float(batch.count * options.transient)):
-        u = points_after(batch, lanes, first_points(batch, lanes), options.transient - 1, 1)[:, 0]
-    return xr.Dataset({"lane_u": variable((LANE, "lane_component"), u, "point of a lane")})
+        first, status = first_places(batch, lanes)
+        points, end = points_and_end(batch, lanes, states_at(batch, lanes, first), options.transient - 1, 1)
+    status = np.where(status > 0, status, statuses(batch, end))
+    return xr.Dataset(
+        {
+            "lane_u": variable((LANE, "lane_component"), points[:, 0], "point of a lane"),
+            "lane_status": variable(LANE, status, "status of a lane there"),
+        }
+    )
 
 
 def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
@@ -60,6 +67,7 @@ def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
     u = data["lane_u"].to_numpy()
     u = u.reshape(-1, u.shape[-1])
     shape = tuple(len(axis.values) for axis in sweep.axes)
+    status = data["lane_status"].to_numpy().ravel()
     parts = list[LaneOrbits]()
     for numbers, batch in sweep.rows:
         strobes = refined_maps(batch)[:2]
@@ -76,7 +84,7 @@ def reduce(options: OrbitsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
                 for n, cycles in known.cycles.items()
                 if len(cycles.lane)
             }
-        parts.append(LaneOrbits(numbers, batch, known, measured))
+        parts.append(LaneOrbits(numbers, batch, known, measured, status[numbers]))
     return _groups(options, lanes, parts, u, [axis.values for axis in sweep.axes])
 
 

@@ -47,12 +47,14 @@ class LaneOrbits(NamedTuple):
         batch: the lanes.
         search: the orbits, and how often they were met.
         measured: their numbers, by number of returns.
+        status: of the lanes after the transient, (lanes,).
     """
 
     numbers: Int[np.ndarray, " lanes"]
     batch: LaneBatch
     search: Search
     measured: Mapping[int, MeasuredCycles]
+    status: Int[np.ndarray, " lanes"]
 
 
 class OrbitRow(NamedTuple):
@@ -186,13 +188,14 @@ def counts_group(limit: int, parts: Sequence[LaneOrbits], count: int) -> xr.Data
 
 def _status(parts: Sequence[LaneOrbits], count: int) -> Entry:
     """Return which lanes have failed: those whose motion is not finite, and for which no start has led to an orbit."""
-    failed = np.zeros(count, bool)
+    codes = np.zeros(count, int)
     for part in parts:
         some = np.zeros(part.batch.count, bool)
         for cycles in part.search.cycles.values():
             some[cycles.lane] = True
-        failed[part.numbers] = ~part.search.moving & ~some
-    return as_variable(LANE, status(np.where(failed, NOT_FINITE, 0)))
+        why = np.where(part.status > 0, part.status, NOT_FINITE)
+        codes[part.numbers] = np.where(~part.search.moving & ~some, why, 0)
+    return as_variable(LANE, status(codes))
 
 
 def _coordinates(lanes: LaneRunner, rows: Sequence[OrbitRow], whole: Any, limit: int) -> dict[str, Entry]:

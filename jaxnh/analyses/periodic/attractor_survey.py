@@ -26,7 +26,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     section_distance,
 )
 from jaxnh.analyses.periodic.recurrences import CLOSE, Recurrence, recurrences, recurs_after
-from jaxnh.analyses.section_points import at_rest, points_and_end, states_at
+from jaxnh.analyses.section_points import at_rest, points_and_end, states_at, statuses
 from jaxnh.maps.family import Maps
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
@@ -51,7 +51,7 @@ class Survey(NamedTuple):
         residual: largest component of Pⁿ(u) − u in sizes of the motion, NaN where there is no orbit, (lanes,).
         multiplier: largest modulus of the multipliers, NaN likewise, (lanes,).
         monodromy: ∂Pⁿ/∂u at the point, NaN likewise, (lanes, d, d).
-        failed: whether the state of the lane is not finite, (lanes,).
+        status: of the lane, a number of `STATUS`, (lanes,).
         size: of the motion in each section coordinate, (lanes, d): what `near` means.
     """
 
@@ -60,15 +60,20 @@ class Survey(NamedTuple):
     residual: Float[np.ndarray, " lanes"]
     multiplier: Float[np.ndarray, " lanes"]
     monodromy: Float[np.ndarray, "lanes d d"]
-    failed: Bool[np.ndarray, " lanes"]
+    status: Int[np.ndarray, " lanes"]
     size: Float[np.ndarray, "lanes d"]
+
+    @property
+    def failed(self) -> Bool[np.ndarray, " lanes"]:
+        """Whether the state of the lane is not finite, (lanes,)."""
+        return self.status > 0
 
 
 def survey_from_start(batch: LaneBatch, lanes: LaneRunner, limit: int, label: str, transient: int) -> Survey:
     """Attractor and period, up to a limit, of every lane of a batch from its start state."""
     early, *late = _timings(transient, limit)
     if not late:
-        return survey(batch, lanes, first_points(batch, lanes), limit, label, transient)
+        return _survey_start(batch, lanes, Timing(transient, limit), label).survey
     return _survey_late(batch, lanes, survey_early(batch, lanes, label, early), late, label)
 
 
@@ -151,8 +156,16 @@ def early_timing(transient: int, limit: int = _EARLY_LIMIT) -> Timing | None:
 def survey_early(batch: LaneBatch, lanes: LaneRunner, label: str, early: Timing) -> EarlySurvey:
     """Survey all lanes from their start states, once for all analyses of a batch."""
     if early not in batch.cache:
-        batch.cache[early] = _survey_at(batch, lanes, first_points(batch, lanes), early, label)
+        batch.cache[early] = _survey_start(batch, lanes, early, label)
     return batch.cache[early]
+
+
+def _survey_start(batch: LaneBatch, lanes: LaneRunner, timing: Timing, label: str) -> EarlySurvey:
+    """Survey lanes some periods after their start states, or after their first crossings."""
+    u, status = first_places(batch, lanes)
+    seen = _survey_at(batch, lanes, u, timing, label)
+    status = np.where(status > 0, status, seen.survey.status)
+    return seen._replace(survey=seen.survey._replace(status=status))
 
 
 def _survey_late(
@@ -182,9 +195,9 @@ def _survey_late(
 def _nothing_found(u: Float[np.ndarray, "lanes d"]) -> Survey:
     """A survey of lanes that have not been looked at."""
     count, d = u.shape
-    nan, none = np.full(count, np.nan), np.zeros(count, np.bool_)
+    nan, zero = np.full(count, np.nan), np.zeros(count, int)
     monodromy = np.full((count, d, d), np.nan)
-    return Survey(np.zeros(count, int), u.copy(), nan, nan.copy(), monodromy, none, np.ones_like(u))
+    return Survey(zero, u.copy(), nan, nan.copy(), monodromy, zero.copy(), np.ones_like(u))
 
 
 def _survey_at(
@@ -202,8 +215,7 @@ def _survey_at(
     with lanes.stage(f"{label}: {batch.count} lanes to their attractors", batch.count * timing.periods):
         seen = _look(batch, lanes, u, timing, Recurrence(timing.limit, least, only_doublings), tile)
     size, recurs = seen.size, seen.recurs.T
-    period, point, residual, multiplier, monodromy, failed, _ = _nothing_found(seen.first)
-    failed |= ~seen.finite
+    period, point, residual, multiplier, monodromy, *_ = _nothing_found(seen.first)
     rank, first, last = np.cumsum(recurs, axis=0), 1.0, 1.0
     while first <= tries and np.any(rank[-1, period == 0] >= first):
         # The next 1, 2, 4, … of every lane at once: few lanes have many, and those would wait for each other. On a card
@@ -232,7 +244,7 @@ def _survey_at(
         residual[lanes_settled], monodromy[lanes_settled] = exact.residual, exact.monodromy
         multiplier[lanes_settled] = largest[settled]
         multiplier[lanes_settled[shorter]] = largest_multiplier(exact.monodromy[shorter])
-    return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, failed, size), seen.last)
+    return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, seen.status, size), seen.last)
 
 
 class _Look(NamedTuple):
@@ -240,14 +252,14 @@ class _Look(NamedTuple):
 
     Attributes:
         first, last: of the points, (lanes, d).
-        finite: whether all of them are, (lanes,).
+        status: of the lane, (lanes,).
         size: of the motion, (lanes, d).
         recurs: whether each number of periods may be one after which they recur, (lanes, periods).
     """
 
     first: Float[np.ndarray, "lanes d"]
     last: Float[np.ndarray, "lanes d"]
-    finite: Bool[np.ndarray, " lanes"]
+    status: Int[np.ndarray, " lanes"]
     size: Float[np.ndarray, "lanes d"]
     recurs: Bool[np.ndarray, "lanes periods"]
 
@@ -267,12 +279,14 @@ def _look(
         state = lanes.iterate(strobe, timing.wait, (state, p), tile=tile) if timing.wait else state
         beside = _least_size(batch, lanes) if sized else ()
         static = count, sought, None if batch.flow.autonomous else _radian(batch)
-        seen = lanes.summarise(strobe, count, (state, p), beside, _look_at_lane, static, tile=tile)
-        return _Look(*map(np.asarray, seen))
+        (*seen, finite), end = lanes.summarise(strobe, count, (state, p), beside, _look_at_lane, static, tile=tile)
+        first, last, size, recurs = map(np.asarray, seen)
+        return _Look(first, last, statuses(batch, end, np.asarray(finite)), size, recurs)
     points, end = points_and_end(batch, lanes, state, timing.wait, count, tile)
     size = motion_sizes(batch, lanes, points, end) if sized else np.ones_like(u)
     recurs = recurrences(batch.chart, lanes, points, size, sought).T
-    return _Look(points[:, 0], points[:, -1], np.all(np.isfinite(points), axis=(1, 2)), size, recurs)
+    status = statuses(batch, end, np.all(np.isfinite(points), axis=(1, 2)))
+    return _Look(points[:, 0], points[:, -1], status, size, recurs)
 
 
 def _look_at_lane(
@@ -282,24 +296,29 @@ def _look_at_lane(
     count: int,
     sought: Recurrence,
     radian: float | None,
-) -> tuple[Array, ...]:
-    """The parts of `_Look` of so many states of one lane; `radian` is the time of one, None without a clock."""
+) -> tuple[tuple[Array, ...], State]:
+    """The parts of `_Look` of so many states of one lane, whether all are finite, and the last state.
+
+    Args:
+        radian: the time of one, None without a clock.
+    """
     states, least = carried
+    end = jax.tree.map(lambda x: x[count - 1], states)
     points, chart = jax.vmap(strobe.chart.point)(jax.tree.map(lambda x: x[:count], states)), strobe.chart
     size = jnp.ones_like(points[0])
     if not chart.dimensionless:
         size = jnp.maximum(jnp.max(jnp.abs(points), axis=0), least)
         if radian is not None:
-            u, rate = _point_and_rate(strobe, jax.tree.map(lambda x: x[count - 1], states), p)
+            u, rate = _point_and_rate(strobe, end, p)
             size = jnp.maximum(size, jnp.maximum(jnp.abs(u), jnp.abs(rate) * radian))
         size = _usable_sizes(chart, size, jnp)
     finite = jnp.all(jnp.isfinite(points))
-    return points[0], points[-1], finite, size, recurs_after(chart, points, size, sought)
+    return (points[0], points[-1], size, recurs_after(chart, points, size, sought), finite), end
 
 
 def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, survey: Survey) -> Survey:
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
-    period, u, residual, multiplier, monodromy, failed, size = (leaf.copy() for leaf in survey)
+    period, u, residual, multiplier, monodromy, status, size = (leaf.copy() for leaf in survey)
     chart = strobe.chart
     near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
     for n in np.unique(period[near]):
@@ -310,18 +329,25 @@ def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, surv
         part = born[settled]
         u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
         multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
-    return Survey(period, u, residual, multiplier, monodromy, failed, size)
+    return Survey(period, u, residual, multiplier, monodromy, status, size)
 
 
 def first_points(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
     """Section coordinates of every lane's start, or of its first crossing where there is a section."""
+    return first_places(batch, lanes)[0]
+
+
+def first_places(batch: LaneBatch, lanes: LaneRunner) -> tuple[Float[np.ndarray, "lanes d"], Int[np.ndarray, " lanes"]]:
+    """The points of `first_points`, and the status of lanes there."""
     if batch.flow is batch.system:
-        return batch.chart.host_points(batch.start)
-    return lanes(_first_crossing, (batch.strobe(),), batch.lanes, periods=1)
+        return batch.chart.host_points(batch.start), statuses(batch, batch.start)
+    u, crossing = lanes(_first_crossing, (batch.strobe(),), batch.lanes, periods=1)
+    return np.asarray(u), statuses(batch, crossing)
 
 
-def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> Float[Array, " d"]:
-    return strobe.chart.point(strobe(state, p))
+def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> tuple[Float[Array, " d"], State]:
+    crossing = strobe(state, p)
+    return strobe.chart.point(crossing), crossing
 
 
 def motion_sizes(

@@ -16,7 +16,7 @@ from jaxnh.analyses.periodic.phase_response import check_phase_response, phase_r
 from jaxnh.analyses.periodic.sensitivities import lane_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import sensitivity_variables
 from jaxnh.analyses.price import newton_price
-from jaxnh.systems.flow import NOT_FINITE, status
+from jaxnh.systems.flow import status
 
 
 def check(options: PeriodOptions, setting: Setting) -> None:
@@ -37,7 +37,7 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
             LANE, attractors.residual, "largest component of Pⁿ(u) − u of the orbit, in sizes of the motion"
         ),
         "multiplier": variable(LANE, attractors.multiplier, "largest modulus of the Floquet multipliers of the orbit"),
-        "status": as_variable(LANE, status(np.where(attractors.failed, NOT_FINITE, 0))),
+        "status": as_variable(LANE, status(attractors.status)),
     }
     if options.sensitivities:
         variables |= _sensitivities(batch, lanes, attractors)

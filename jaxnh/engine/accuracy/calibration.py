@@ -41,8 +41,11 @@ LEFT_OUT = 5e-5
 SAFETY = 2.0
 """The error is taken this many times: some lanes of the sweep have larger ones."""
 
+MOST_REHEARSED = 1 << 13
+"""Periods in which steps are to lose no lane, at most."""
+
 _ROUNDS = 8
-_REHEARSING, _REHEARSED = 32, 1 << 13  # lanes, and periods of each, at most, in which steps are to lose none
+_REHEARSING = 32  # lanes of which steps are to lose none
 _SPLIT, _MOST_PARTS = 4, 1024  # parts of a unit of time that is too long for its rounding
 _PRECISE = {
     "float64": 1e-6,
@@ -58,6 +61,8 @@ class Plan(NamedTuple):
         sizes: of the motion, by coordinate, that errors are relative to; none where they are absolute.
         parts: of a unit of time, of one of which the error is; a period or return is one.
         step_classes: of lanes that take a power of two fewer steps, as text (`step_classes`); "" where none does.
+        rehearsed: periods in which its steps lose no sample lane; so many as are ever asked of violent motion where
+            none is violent.
     """
 
     solver: Solver
@@ -67,6 +72,11 @@ class Plan(NamedTuple):
     sizes: Mapping[str, float] = {}
     parts: int = 1
     step_classes: str = ""
+    rehearsed: int = MOST_REHEARSED
+
+    def is_rehearsed(self, periods: float) -> bool:
+        """Return whether its steps have been tried for runs of so many periods."""
+        return self.rehearsed >= min(periods, MOST_REHEARSED)
 
     @property
     def kicks(self) -> int:
@@ -203,13 +213,14 @@ class Calibration:
         if not self._violent or self._maps.adaptive or self._maps.parts > 1:
             return plan
         picked = np.unique(np.linspace(0, len(self._start.row) - 1, _REHEARSING).round().astype(int))
-        few, steps = self._start.take_lanes(picked), plan.steps
-        while are_lost_by(self._maps, few, plan.solver, steps, min(periods, _REHEARSED)):
+        few, steps, periods = self._start.take_lanes(picked), plan.steps, min(periods, MOST_REHEARSED)
+        while are_lost_by(self._maps, few, plan.solver, steps, periods):
             if 2 * steps > plan.solver.most_steps(MOST_KICKS):
-                return plan
+                self._maps.tell(f"even {steps:,} steps lose a lane in {periods:,} periods; such lanes are marked")
+                return plan._replace(rehearsed=periods)
             steps *= 2
         error = plan.error_estimate if steps == plan.steps else self.error(plan.solver, steps)
-        return plan._replace(steps=steps, error_estimate=error)
+        return plan._replace(steps=steps, error_estimate=error, rehearsed=periods)
 
     def _cheapest(
         self, target: float, is_short: Callable[[Plan], bool] | None

@@ -54,7 +54,7 @@ def fault_of(system: System, state: State, p: Parameters, first_look: str = "") 
     if first_look:
         return first_look
     if isinstance(system, Section):
-        return f"the section may not be met within {system.longest:g} units of time"
+        return f"the section may not be met within {system.longest * flow.period:g} units of time"
     return ""
 
 

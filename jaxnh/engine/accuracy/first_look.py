@@ -107,16 +107,17 @@ def follow(maps: SampleMaps, samples: Samples, length: float | None = None) -> P
     return Passage(*maps.by_flow(_follow, shared, few, 1))
 
 
-def first_look(maps: SampleMaps, samples: Samples) -> FirstLook:
-    """Look whether motions come through a period, or a unit of time, and how many steps that takes."""
-    passage = follow(maps, samples)
+def first_look(maps: SampleMaps, samples: Samples, periods: float = 1.0) -> FirstLook:
+    """Look whether motions come through so many periods, or units of time, and how many steps one takes."""
+    length = periods * maps.flows[0].flow.period
+    passage = follow(maps, samples, None if periods == 1.0 else length)
     arrived = passage.arrived >= 1.0
     if np.any(arrived):
-        needed = float(np.max(passage.needed[arrived]))
+        needed = float(np.max(passage.needed[arrived])) / periods
         return FirstLook(min(_MOST_STEPS, 1 << max(0, math.ceil(math.log2(needed)))), "")
     share = float(np.max(passage.arrived))
     if share > 0.0:
-        return FirstLook(0, f"the motion goes to infinity at t = {share * maps.flows[0].flow.period:.3g}")
+        return FirstLook(0, f"the motion goes to infinity at t = {share * length:.3g}")
     return FirstLook(0, "")
 
 

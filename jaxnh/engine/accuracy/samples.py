@@ -167,12 +167,17 @@ def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: Stat
         return -1
     lane = np.arange(len(when))
     before, after = (jax.tree.map(lambda leaf, at=at: leaf[lane, at], every) for at in (when - 1, when))
-    length = None
-    if maps.sectioned:
-        with np.errstate(invalid="ignore"):
-            returns = np.diff(every.t, axis=1)
-        length = _RETURNS_FOLLOWED * float(np.max(returns, initial=0.0, where=np.isfinite(returns)))
-    return _stays_finite(maps, start._replace(states=before), after, lost, length)
+    return _stays_finite(maps, start._replace(states=before), after, lost, _longest_return(maps, every))
+
+
+def _longest_return(maps: SampleMaps, states: State) -> float | None:
+    """Return how long a lane is followed to its section, by states (lanes, returns + 1); None where there is none."""
+    if not maps.sectioned:
+        return None
+    with np.errstate(invalid="ignore"):
+        returns = np.diff(states.t, axis=1)
+    longest = _RETURNS_FOLLOWED * float(np.max(returns, initial=0.0, where=np.isfinite(returns)))
+    return max(longest, maps.flows[0].flow.period)
 
 
 def _lost_rank(maps: SampleMaps, start: Samples, states: State, lane: int) -> str:
@@ -216,7 +221,10 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
         coarser, image = image, image_of(later)
         gaps = gaps_between(differences(coarser, image), rough_sizes(maps, start, image))
         lost = ~np.isfinite(gaps)  # by so few steps, where so are all, or for ever
-        stays = _stays_finite(maps, samples, later, lost) if np.any(lost) and not np.all(lost) else -1
+        stays = -1
+        if np.any(lost) and not np.all(lost):
+            both = jax.tree.map(lambda *z: np.stack(z, axis=1), samples.states, later)
+            stays = _stays_finite(maps, samples, later, lost, _longest_return(maps, both))
         if not np.all(lost) and np.all(lost | (gaps < _SEED_ERROR)) and stays < 0:
             return steps
         steps *= 2
@@ -230,7 +238,7 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
 
 
 def _stays_finite(
-    maps: SampleMaps, samples: Samples, images: State, lost: Bool[np.ndarray, " lanes"], length: float | None = None
+    maps: SampleMaps, samples: Samples, images: State, lost: Bool[np.ndarray, " lanes"], length: float | None
 ) -> int:
     """Return a lane whose image is lost but whose motion is not, by steps that follow it; −1: there is none.
 
@@ -292,8 +300,9 @@ def _without_lost(maps: SampleMaps, samples: Samples, steps: int) -> Samples:
 def _no_lane(maps: SampleMaps, samples: Samples) -> AccuracyError:
     """The error that no lane has a period, with what is seen of the reason; `LostLaneError` where steps may be it."""
     first = jax.tree.map(lambda leaf: leaf[0], samples)
-    at = maps.flows[int(first.row)], first.states, first.p
-    why = fault_of(*at, first_look(maps, samples).explanation)
+    at = system, *_ = maps.flows[int(first.row)], first.states, first.p
+    periods = system.longest if isinstance(system, Section) else 1.0
+    why = fault_of(*at, first_look(maps, samples, periods).explanation)
     why = why and f"; at {samples.place(0)} {why}"
     lost = "does not come back to its section" if maps.sectioned else "has a non-finite state within a period"
     message = f"every lane of this sweep {lost}{why}"

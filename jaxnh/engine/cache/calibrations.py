@@ -24,10 +24,12 @@ class Decision:
     Attributes:
         plan: its numerical plan.
         fastest: seconds a lane for an iteration of the innermost loop of a map, as measured while deciding.
+        rehearsed: periods in which the steps lose no sample lane, where longer runs decide anew.
     """
 
     plan: NumericalPlan
     fastest: float
+    rehearsed: int
 
 
 def name_of(experiment: Experiment, devices: Sequence[Any], tile: int | None, kind: str = "decision") -> str | None:
@@ -50,7 +52,7 @@ def find(name: str | None) -> Decision | None:
     if not data:
         return None
     content = json.loads(data)
-    return Decision(NumericalPlan(**content["plan"]), content["fastest"])
+    return Decision(NumericalPlan(**content["plan"]), content["fastest"], content["rehearsed"])
 
 
 def keep(name: str | None, decision: Decision) -> None:
