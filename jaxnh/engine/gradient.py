@@ -7,17 +7,18 @@ function theorem (`analyses.periodic.sensitivities`), which are all that a rule 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxnh.analyses.options.base import Options
-from jaxnh.engine.session import Session
+from jaxnh.engine.session import Session, name_of
 from jaxnh.exceptions import InputError
 
 _KEPT = 256  # results, of other values of the parameters
@@ -38,7 +39,7 @@ def gradient(
 
     Args:
         session: runs the analysis.
-        options: of `doubling`, `period` or `windows`.
+        options: of `doubling`, `branches`, `period` or `windows`.
         numbers: name of a variable that has sensitivities, as `b` of doublings over b; or of several.
         where: values of the result's dimensions that choose one number of a variable, as `{"level": 1}`.
         **axes: the sweep, as of `Session.run`.
@@ -92,12 +93,33 @@ def _solver(
 
     @functools.lru_cache(maxsize=_KEPT)
     def solved(keys: tuple[str, ...], values: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-        data = session.run(options, None, **axes, **dict(zip(keys, values, strict=True))).sel(where)
-        for name in names:
-            if f"{name}_sensitivity" not in data or data[name].ndim:
-                known = ", ".join(str(key) for key in data if f"{key}_sensitivity" in data)
-                raise InputError(f"{name} is no single number with derivatives; {known} are, one place each of `where`")
+        at = {**axes, **dict(zip(keys, values, strict=True))}
+        groups = session.groups({**dict.fromkeys(options.needs), name_of(options): options}, **at)
+        data = _with_derivatives(groups, names, where)
         rates = [data[f"{name}_sensitivity"].reindex(parameter=list(keys)).to_numpy() for name in names]
         return np.array([float(data[name]) for name in names]), np.array(rates)
 
     return solved
+
+
+def _with_derivatives(
+    groups: Mapping[str, xr.Dataset], names: Sequence[str], where: Mapping[str, int | float]
+) -> xr.Dataset:
+    """Return the group that has derivatives of numbers, at one place of it; not a number where there is no such place.
+
+    Raises:
+        InputError: there is no such group, or a variable has more numbers there.
+    """
+    known = dict[str, tuple[str, ...]]()
+    for data in groups.values():
+        rates = [str(key) for key in data if f"{key}_sensitivity" in data]
+        known |= {name: tuple(map(str, data[name].dims)) for name in rates}
+        if all(name in rates and {*data[name].dims} == {*where} for name in names):
+            labels = {dim: data[dim].to_numpy() if dim in data.coords else np.arange(data.sizes[dim]) for dim in where}
+            return (
+                data.assign_coords(labels)[[*names, *(f"{name}_sensitivity" for name in names)]]
+                .reindex({dim: [value] for dim, value in where.items()})
+                .isel(dict.fromkeys(where, 0))
+            )
+    words = ", ".join(f"{name} over ({', '.join(dims)})" if dims else name for name, dims in known.items())
+    raise InputError(f"{', '.join(names)} at {where} is no single number with derivatives; there are {words or 'none'}")

@@ -195,7 +195,7 @@ class Session:
         if isinstance(analysis, Options):
             if options is not None:
                 raise InputError("options are given once: by the first argument")
-            analysis, options = _name_of(analysis), analysis
+            analysis, options = name_of(analysis), analysis
         if isinstance(analysis, type):
             raise InputError(f"options are made by a call, as jaxnh.{analysis.__name__.removesuffix('Options')}()")
         asked_for = analysis_of(analysis) if isinstance(analysis, str) else None  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -250,7 +250,7 @@ class Session:
         """Check that options are options, and that no option is given as an axis."""
         name = analysis.options.__name__.removesuffix("Options")
         if isinstance(options, Options) and not isinstance(options, analysis.options):
-            raise InputError(f"{analysis.name} takes jaxnh.{name}(...), not options of {_name_of(options)}")
+            raise InputError(f"{analysis.name} takes jaxnh.{name}(...), not options of {name_of(options)}")
         if options is not None and not isinstance(options, Options | Mapping):
             axis = self._base.sweep.known[0]
             raise InputError(
@@ -325,8 +325,12 @@ class Session:
         return whole, {**whole, **of_lanes}
 
 
-def _name_of(options: Options) -> str:
-    """The name of the analysis that options are of."""
+def name_of(options: Options) -> str:
+    """The name of the analysis that options are of.
+
+    Raises:
+        InputError: there is none.
+    """
     for name, known in OPTIONS.items():
         if type(options) is known:
             return name

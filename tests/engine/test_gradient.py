@@ -51,10 +51,24 @@ def test_multiplier(session):
     assert float(rates[0]) == pytest.approx(2 / (1 + 4 * 0.5) ** 0.5, abs=1e-8)
 
 
+def test_bifurcation_of_a_branch(session):
+    """The same doubling, of the group that `branches` brings; of a second bifurcation there is no number."""
+    options = jaxnh.Branches(max_period=1)
+    first, second = (
+        jaxnh.gradient(session, options, "a", where={"bifurcation": k}, a=np.linspace(0.2, 0.8, 8)) for k in (0, 1)
+    )
+    value, rate = jax.value_and_grad(lambda b: first(b=b))(0.3)
+    assert float(value) == pytest.approx(0.75 * 0.49, abs=1e-12)
+    assert float(rate) == pytest.approx(-1.05, abs=1e-9)
+    assert np.isnan(second(b=0.3))
+    with pytest.raises(InputError, match=r"there are a over \(bifurcation\)$"):
+        jaxnh.gradient(session, options, "a", a=np.linspace(0.2, 0.8, 8))(b=0.3)
+
+
 def test_what_has_no_derivatives_is_said(session, first_doubling):
     with pytest.raises(InputError, match=r"outside jax\.jit and jax\.vmap"):
         jax.jit(lambda b: first_doubling(b=b))(0.3)
     with pytest.raises(InputError, match="Lyapunov gives no derivatives in parameters"):
         jaxnh.gradient(session, jaxnh.Lyapunov(), "exponents")
-    with pytest.raises(InputError, match="residual is no single number with derivatives; multiplier are"):
+    with pytest.raises(InputError, match=r"residual at {} is no single number with derivatives; there are multiplier"):
         jaxnh.gradient(session, jaxnh.Period(), "residual")(a=0.5, b=0.3)

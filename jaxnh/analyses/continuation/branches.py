@@ -65,8 +65,8 @@ def check(options: BranchesOptions, setting: Setting) -> None:
     if first.kind == "shared":
         what = f"the map has no derivative in {first.name}, which all lanes share"
         raise OptionError(f"branches are followed along the first axis of the sweep, and {what}" + setting.advice)
-    if others:
-        names = " and ".join(axis.name for axis in others)
+    if several := [axis for axis in others if len(axis.values) > 1]:
+        names = " and ".join(axis.name for axis in several)
         raise OptionError(f"branches are followed along one axis; leave out {names}")
     if len(np.unique(first.values)) < 2:
         raise OptionError(f"branches are followed over a range of {first.name}, and the sweep has one value of it")
@@ -117,9 +117,10 @@ def settle(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> Set
 
 def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `branches` and `bifurcations`, from what all lanes have settled on."""
-    [axis], [(order, row)] = sweep.axes, sweep.rows
+    (axis, *_), [(order, row)] = sweep.axes, sweep.rows
     batch = replace(row, axis=replace(axis, values=axis.values[order]))
-    settled = SettledOrbits(*(data[f"lane_{name}"].to_numpy()[order] for name in SettledOrbits._fields))
+    points = (data[f"lane_{name}"].to_numpy() for name in SettledOrbits._fields)
+    settled = SettledOrbits(*(x.reshape(-1, *x.shape[len(sweep.axes) :])[order] for x in points))
     grown = grow_branches(options, batch, lanes, settled)
     return datasets(lanes, grown, options.max_period, derived=bool(options.sensitivities))
 

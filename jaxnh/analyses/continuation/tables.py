@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from jaxnh.analyses.base import Entry, Table, flag, number_variable, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
+from jaxnh.analyses.continuation.equilibrium_sensitivities import equilibrium_sensitivities
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.continuation.grazing import grazing_sensitivities
 from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, bifurcation_sensitivities
@@ -104,6 +105,9 @@ def datasets(
             CriticalOrbit(-1 if family else p.kind, p.value, p.points, p.multipliers) for family, p in bifurcations
         ]
         rates = bifurcation_sensitivities(batch, lanes, critical)
+        if still := [k for k, (family, _) in enumerate(bifurcations) if family]:
+            resting = [critical[k]._replace(kind=bifurcations[k][1].kind) for k in still]
+            rates = rates.with_rows(still, equilibrium_sensitivities(grown[1].batch, lanes, resting))
         if touching := [k for k, (_, point) in enumerate(bifurcations) if point.arcs]:
             grazing = [bifurcations[k][1].arcs for k in touching]
             rates = rates.with_rows(touching, grazing_sensitivities(batch, lanes, grazing))
