@@ -156,7 +156,7 @@ section: {coordinate: y, value: -0.02, direction: up}
 sweep: {f: {start: 1.0, stop: 3.2, count: 6}, tau: {start: -0.1, stop: 0.1, count: 5}}
 accuracy: {target: 1.0e-8}
 analyses:
-  curves: {max_period: PERIOD, transient: 16, n_values: 2, equilibria: 8, seed: 1, ds_max: 0.05, max_steps: STEPS,
+  curves: {max_period: PERIOD, transient: 16, n_values: 2, equilibria: 8, seed: 1, max_steps: STEPS,
     box: {x: [0, 2], y: [-1, 1], z: [-1, 1], u: [-1, 1]}}
 """
 
@@ -203,13 +203,18 @@ def test_curves_of_equilibria_of_lorenz84(tmp_path):
 def test_curves_of_cycles_of_lorenz84(tmp_path):
     """Folds of cycles from the generalised Hopf points and tori from the double Hopf points.
 
-    u -> −u, τ -> −τ is a symmetry: curves from points at either τ are images of each other, to their errors.
+    u -> −u, τ -> −τ is a symmetry: curves of folds at either τ are images of each other, those of tori of themselves.
     """
-    tree = lorenz84(tmp_path, 1, 60)
+    tree = lorenz84(tmp_path, 1, 500)
     data, points = tree["curves"], tree["codimension_two"]
     cycles = [KINDS[kind] for kind, n in zip(data["kind"].values, data["period"].values, strict=True) if n]
     assert "fold" in cycles
-    assert cycles.count("neimark_sacker") == 4
+    tori = np.flatnonzero((data["kind"].values == KINDS.index("neimark_sacker")) & (data["period"].values == 1))
+    assert len(tori) == 2  # each from one double Hopf point to its image
+    for k in tori:
+        tau = data["tau"].values[k][np.isfinite(data["tau"].values[k])]
+        assert [abs(tau[0]), abs(tau[-1])] == pytest.approx([0.02627393] * 2, rel=1e-4)
+        assert tau[0] * tau[-1] < 0.0
     cusps = points["kind"].values == POINTS.index("cusp")  # where folds of cycles leave the section there is none
     assert set(data["period"].values[points["curve"].values[cusps]].tolist()) == {0}
     for k in np.flatnonzero((data["kind"].values == KINDS.index("fold")) & (data["period"].values == 1)):
@@ -220,3 +225,9 @@ def test_curves_of_cycles_of_lorenz84(tmp_path):
         one, other = points[name].values[third]
         assert abs(one - sign * other) <= points[f"{name}_error"].values[third].sum()
         assert points[f"{name}_error"].values[third].max() < 1e-9
+    # Between f = 2.5709 and 2.5764 two of four multipliers are real, −1.0125 and −0.9877 at most: a neutral saddle.
+    second = np.sort(points["f"].values[points["kind"].values == POINTS.index("resonance_1_2")])
+    assert len(second) == 6
+    assert np.all(np.diff(second)[::2] < 1e-6)
+    assert second[::2] == pytest.approx([2.57091, 2.57643, 3.12003], abs=1e-5)
+    assert np.isfinite(points["f_error"].values).all()  # no Chenciner point beside a double Hopf point

@@ -61,7 +61,7 @@ def test_bifurcation_of_a_branch(session):
     assert float(value) == pytest.approx(0.75 * 0.49, abs=1e-12)
     assert float(rate) == pytest.approx(-1.05, abs=1e-9)
     assert np.isnan(second(b=0.3))
-    with pytest.raises(InputError, match=r"there are a over \(bifurcation\)$"):
+    with pytest.raises(InputError, match=r"there are a over \(bifurcation\)"):
         jaxnh.gradient(session, options, "a", a=np.linspace(0.2, 0.8, 8))(b=0.3)
 
 

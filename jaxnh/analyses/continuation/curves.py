@@ -224,9 +224,10 @@ def _of_orbits(
         errors = [errors_of_points(*both) for both in zip(curves, again, strict=True)]
     with lanes.stage(f"curves: points of codimension two on {len(curves)}", 0):
         special = [
-            CurvePoint(k, point, errors_of_special(others, again[k], point))
+            CurvePoint(k, point, missed)
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
+            if (missed := errors_of_special(others, again[k], point)) is not None
         ]
     return CurveSet(curves, errors, special)
 

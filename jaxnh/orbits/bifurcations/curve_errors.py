@@ -35,8 +35,11 @@ def errors_of_points(curve: Curve, others: Sequence[Curve]) -> Float[np.ndarray,
 
 def errors_of_special(
     planes: Sequence[ParameterPlane], others: Sequence[Curve], point: Special
-) -> Float[np.ndarray, " 2"]:
-    """Errors of both parameters at a point of codimension two, NaN where it is not on the curves of finer maps.
+) -> Float[np.ndarray, " 2"] | None:
+    """Errors of both parameters at a point of codimension two.
+
+    They are NaN where finer maps do not follow the curve there; and None where these do and have no such point, which
+    is then none: beside where cycles are born coefficients of the third order are differences of nearly nothing.
 
     Args:
         planes, others: maps with 2 and 4 times the steps, and the same curve of these (`refine_curve`).
@@ -46,10 +49,11 @@ def errors_of_special(
     values = list[np.ndarray]()
     for plane, curve in zip(planes, others, strict=True):
         part = curve.part(near)
-        candidates = special_points(plane, part) if part.track.converged.all() else []
-        same = [other.values for other in candidates if other.kind == point.kind]
-        if not same:
+        if not part.track.converged.all():
             return np.full(2, np.nan)
+        same = [other.values for other in special_points(plane, part) if other.kind == point.kind]
+        if not same:
+            return None
         away = [np.abs((value - point.values) / (plane.high - plane.low)).max() for value in same]
         values.append(same[int(np.argmin(away))])
     return _error(point.values, *values)

@@ -29,6 +29,7 @@ CURVE_STEPS = StepControl(max_steps=500)
 """Default steps."""
 
 _SHIFT = 1e-6  # of central differences, in lengths: their error is its square, and rounding over it
+_NEUTRAL = 0.01  # beyond ±1 of the cosine: so far into neutral saddles, tori may begin again at a second resonance
 _CURVED = 1e-2  # second differences of a test function, of first ones: beyond, derivatives are not known
 
 
@@ -170,7 +171,21 @@ def join_curves(plane: ParameterPlane, first: Curve, second: Curve, near: float)
 
 def _curve(plane: ParameterPlane, kind: int, track: Track) -> Curve:
     points, values = split_unknowns(plane, track.points.z)
-    return Curve(kind, points, values, track.points, multipliers(track.points.blocks), track.ends)
+    curve = Curve(kind, points, values, track.points, multipliers(track.points.blocks), track.ends)
+    return curve if kind in (FOLD, DOUBLING) else _to_resonances(curve)
+
+
+def _to_resonances(curve: Curve) -> Curve:
+    """The curve to the first neutral saddle at each end: between two resonances it goes through such orbits."""
+    with np.errstate(invalid="ignore"):
+        born = np.flatnonzero(np.abs(angle_cosine(curve.multipliers)) <= 1.0)
+    if not len(born):
+        return curve
+    last = len(curve.values) - 1
+    first, end = max(born[0] - 1, 0), min(born[-1] + 1, last)
+    begins = paths.RESONANCE if born[0] > 0 else curve.ends[0]
+    ends = paths.RESONANCE if born[-1] < last else curve.ends[1]
+    return replace(curve.part(slice(first, end + 1)), ends=(begins, ends))
 
 
 class BifurcationEquations:
@@ -208,13 +223,13 @@ class BifurcationEquations:
     def endings(
         self, now: Solution, taken: Solution, /
     ) -> tuple[dict[int, Bool[np.ndarray, " lanes"]], Bool[np.ndarray, " lanes"]]:
-        """Curves that have come to orbits of a shorter period, or to real multipliers."""
+        """Curves that have come to orbits of a shorter period, or far beyond where multipliers become real."""
         first, second = split_unknowns(self._plane, now.z)[0], split_unknowns(self._plane, taken.z)[0]
         collapsed, merged = collapses(first, second, self._plane.wrap, self._plane.size)
         endings = {paths.COLLAPSED: collapsed}
         if self._kind not in (FOLD, DOUBLING):
             with np.errstate(invalid="ignore"):
-                endings[paths.RESONANCE] = np.abs(angle_cosine(multipliers(taken.blocks))) > 1.0
+                endings[paths.RESONANCE] = np.abs(angle_cosine(multipliers(taken.blocks))) > 1.0 + _NEUTRAL
         return endings, merged
 
 
