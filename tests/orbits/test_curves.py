@@ -82,6 +82,25 @@ def test_curves_of_henon():
         assert found[name] == pytest.approx((exact, -1.0), abs=near)
 
 
+def quadratic(u, values):
+    """M (x, y) with the trace −2 + a² − δ² and the determinant b, about the fixed point 0."""
+    (x, y), (a, b), zero, one = u.T, values.T, np.zeros(len(u)), np.ones(len(u))
+    trace = -2.0 + a**2 - 0.08**2
+    matrix = np.array([[trace, -b], [one, zero]]).transpose(2, 0, 1)
+    columns = np.array([[2 * a * x, -y], [zero, zero]]).transpose(2, 0, 1)
+    return Derivatives(np.stack([trace * x - b * y, x], 1), matrix, columns)
+
+
+def test_tori_beyond_a_neutral_saddle():
+    """Multipliers are real, −1.08 and −0.92 at most, where |a| < 0.08, and of modulus one again beyond; b = 1."""
+    map_plane = plane(quadratic, 2, (-1.0, 0.5), (1.0, 1.5))
+    [torus] = follow_both_ways(map_plane, NEIMARK_SACKER, np.zeros((1, 1, 2)), np.array([[0.5, 1.0]]))
+    assert torus.ends == (RANGE, RANGE)
+    assert np.abs(torus.values[:, 1] - 1.0).max() < ROUNDING
+    second = [a for name, a, _ in passed(torus, map_plane) if name == "resonance_1_2"]
+    assert sorted(second) == pytest.approx([-0.08, 0.08], abs=1e-9)
+
+
 def test_curve_of_period_two():
     """Hénon's second doubling, by its 2-periodic orbit: a = (5b² − 6b + 5)/4, through a strong resonance at b = −1."""
     b = 0.3
