@@ -493,9 +493,10 @@ def test_what_is_not_met_is_said(tmp_path):
     """No curve, and a line for each condition."""
     data = curves_of(tmp_path, HOPF, "{x: 0.5}", HOPF_SWEEP, "n_values: 1, maximum: {x: 3.0}, exponent_sum: 0.0", UP)
     said = data.tree()["curves"].attrs["warnings"].splitlines()
+    looked = "looked at branches over mu of orbits of period 1 at most that 3 lanes settle on, at 1 value of nu"
     assert said == [
-        "curves: there is no cycle with maximum of x = 3 to follow over mu and nu",
-        "curves: there is no cycle with exponent_sum = 0 to follow over mu and nu",
+        f"curves: there is no cycle with maximum of x = 3 to follow over mu and nu; {looked}",
+        f"curves: there is no cycle with exponent_sum = 0 to follow over mu and nu; {looked}",
     ]
 
 

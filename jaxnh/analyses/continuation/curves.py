@@ -15,7 +15,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Analysis, Setting, SweepLanes, SweepReduction, check_names, number_lanes
-from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.condition_curves import (
     ConditionCurve,
     check_conditions,
@@ -54,7 +54,7 @@ _OWN_NAMES = (
     "codimension_two_kind", "codimension_two_curve",
 )  # fmt: skip
 _NEAR = 1e-3  # lengths: a chord between two points is nearer to its curve than this
-_NOTHING = "curves: there is no {} to follow over {} and {}"
+_NOTHING = "curves: there is no {} to follow over {} and {}; {}"
 _WORK = 3.0  # of a run, in those of settling: a guess
 
 
@@ -99,12 +99,23 @@ def curve_groups(options: CurvesOptions, sweep: SweepLanes, followed: CurveSet) 
     parts, names = (sweep.rows[0][1], sweep.axes, followed), [axis.name for axis in sweep.axes]
     conditional = [curve for curve in followed.curves if isinstance(curve, ConditionCurve)]
     missed = [each for each in conditions_of(options) if not any(each.asks_for(curve) for curve in conditional)]
-    lines = [_NOTHING.format(f"cycle with {each.words}", *names) for each in missed]
+    looked = _searched(options, sweep.axes)
+    lines = [_NOTHING.format(f"cycle with {each.words}", *names, looked) for each in missed]
     if options.bifurcations is None and len(conditional) == len(followed.curves):
-        lines = [_NOTHING.format("bifurcation", *names), *lines]
+        lines = [_NOTHING.format("bifurcation", *names, looked), *lines]
     data = curves_dataset(*parts, options.max_period)
     data.attrs |= {"warnings": "\n".join(lines)} if lines else {}
     return {"curves": data, "codimension_two": special_dataset(*parts)}
+
+
+def _searched(options: CurvesOptions, axes: Sequence[Axis]) -> str:
+    """Say what was looked at."""
+    (first, second), still = axes, f" and of equilibria from {options.equilibria} starts" if options.equilibria else ""
+    count, lanes = len(values_searched(second, options.n_values)), len(first.values)
+    return (
+        f"looked at branches over {first.name} of orbits of period {options.max_period} at most that {lanes} lanes "
+        f"settle on{still}, at {count} value{'s' * (count > 1)} of {second.name}"
+    )
 
 
 class _Attractors(NamedTuple):
