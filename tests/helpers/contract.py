@@ -29,6 +29,35 @@ _OF_TIME = {
     "eigenvalues",
     "saddle_quantity",
 }
+_ATTRIBUTES = {
+    "along",
+    "along_flow",
+    "angles",
+    "axes",
+    "complete_to",
+    "confirmation_factor",
+    "max_denominator",
+    "max_harmonics",
+    "max_period",
+    "method",
+    "orbit_reversal",
+    "orthonormalisations_per_period",
+    "over",
+    "refinement_for_tangents",
+    "reversal",
+    "rotating_angle",
+    "rows",
+    "search",
+    "section",
+    "section_coordinate",
+    "start_states",
+    "strobe_phase",
+    "strobes",
+    "transient",
+    "warnings",
+    "within",
+}
+"""Names of attributes of groups, whatever the analysis: no variable has one of these names."""
 _OF_PARAMETER = {"first", "last", "begin", "end", "limit", "crisis", "doubling", "spacing", "tangency"}
 WITHOUT_LANES = (
     "doubling",
@@ -61,8 +90,11 @@ def check(name, data, unsaid=()):
         data: its dataset.
         unsaid: coordinates, parameters and "t" whose units the system does not say.
     """
-    assert not set(data.attrs) & {str(key) for key in data.variables}, "a number is an attribute or a variable"
-    assert not [key for key in data.attrs if key.startswith("panel")]
+    attributes, variables = {str(key) for key in data.attrs}, {str(key) for key in data.variables}
+    assert not attributes & variables, "a number is an attribute or a variable"
+    assert attributes <= _ATTRIBUTES, f"not among the attributes of groups: {sorted(attributes - _ATTRIBUTES)}"
+    others = variables & _ATTRIBUTES - set(unsaid)
+    assert not others, f"attributes of other groups are variables here: {sorted(others)}"
     for key, variable in data.variables.items():
         _check_words(str(key), variable, unsaid)
         _check_flags(str(key), variable)
