@@ -96,7 +96,8 @@ def refine_reference(
         least = np.minimum(least, gaps)
         for leaf, new in zip(finest, finer, strict=True):
             leaf[active] = new
-        maps.tell(f"with {steps * solver.stages:,} kicks a period, references differ by {gaps[largest_at(gaps)]:.1e}")
+        most = gaps[largest_at(gaps)]
+        maps.tell(f"with {steps * solver.stages:,} evaluations of the field a period, references differ by {most:.1e}")
     return Reference(finest, gaps, steps * solver.stages, unresolved)
 
 
