@@ -42,7 +42,6 @@ _FORMS: tuple[tuple[int, tuple[str, ...]], ...] = (
 """Batch sizes, in recommended SIMD sizes, and options of the compiler; large ones outside compact mode take minutes."""
 _EQUAL_TIMES, _WHOLE_STEPS = "at equal times", "after whole steps"
 """When tangents are orthonormalised: then a step is cut short; or every so many steps, and none is."""
-_OFTEN = ", {:.3g} orthonormalisations a period {}"
 
 
 def tangent_equations(motion: Sequence[tuple[Any, Any]], d: int) -> list[tuple[Any, Any]]:
