@@ -1,4 +1,4 @@
-"""What every group of a result keeps to, whatever the analysis, the flow and the number of axes."""
+"""Rules that every group of a result keeps to, whatever the analysis, the flow and the number of axes."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ WITHOUT_LANES = (
 
 
 def is_unit(text):
-    """Whether UDUNITS reads it: 1, or known symbols with whole exponents, multiplied by blanks or dots, or divided."""
+    """Return whether UDUNITS reads it: 1, or known symbols with whole exponents, with blanks, dots or slashes between."""
     factors = [factor.strip("() ") for factor in re.split(r"[ ./]", text) if factor.strip("() ")]
     return bool(factors) and all(
         factor == "1" or ((found := _FACTOR.fullmatch(factor)) and found.group(1) in _SYMBOLS) for factor in factors

@@ -30,7 +30,7 @@ _HOPELESS_BY = 10.0  # times the target: about what the most steps would leave, 
 _TABLES = 4  # that the rounding of plain sums is measured on
 
 NO_MATTER = 0.01
-"""Of an error: rounding in a table that decides nothing, nor does that in others."""
+"""Share of an error below which rounding in a table decides nothing; nor does that in others."""
 
 
 class Reference(NamedTuple):
