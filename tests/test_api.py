@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -102,6 +103,10 @@ def test_every_name_resolves():
     for name in jaxnh.__all__:
         found = getattr(jaxnh, name)
         assert isinstance(found, str) or found.__doc__, name
+    page = (ROOT / "docs" / "reference" / "api.md").read_text()
+    assert [
+        name for name in set(jaxnh.__all__) - {*vars(exceptions), "__version__"} if not re.search(rf"\b{name}\b", page)
+    ] == []
     for name, each in vars(exceptions).items():
         if isinstance(each, type) and each.__module__ == exceptions.__name__:
             assert name in jaxnh.__all__

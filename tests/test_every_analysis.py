@@ -1079,6 +1079,8 @@ def test_a_group_that_breaks_the_contract():
             *(data["period"].attrs.pop(key) for key in ("flag_values", "flag_meanings")),
         ],
         "attribute or a variable": lambda data: data.attrs.update(period=1),
+        "not among the attributes": lambda data: data.attrs.update(limit=1),
+        "attributes of other groups": lambda data: data.update({"strobes": data["residual"]}),
     }
     for words, spoil in broken.items():
         data = good.copy(deep=True)

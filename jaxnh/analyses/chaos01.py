@@ -68,7 +68,10 @@ def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
 
 
 def _growth(angles: Float[Array, " angles"], first: Float[Array, " points"], turns: bool) -> Float[Array, " angles"]:
-    """Return K of one lane for every angle, from its first coordinate, whose cosine and sine are taken if it turns."""
+    """Return K of one lane for every angle, from its first coordinate, or its cosine and sine if it is an angle.
+
+    An angle itself is no observable: it may grow for ever, and whole turns of it are no motion.
+    """
     signals = (jnp.cos(first), jnp.sin(first)) if turns else (first,)
     return growth_rates(remove_period(signals), angles, mean_square(signals))
 

@@ -1,9 +1,19 @@
-"""Intervals of shares from numbers of draws."""
+"""Intervals at 95 %: of shares from numbers of draws, and the quantile of a normal distribution."""
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from jaxtyping import Float, Int
+
+
+@functools.cache
+def normal_quantile() -> float:
+    """Return how many standard deviations a normal variable lies from its mean at most in 95 of 100 cases."""
+    from scipy.special import ndtri  # here, as it takes a tenth of a second to import
+
+    return float(ndtri(0.975))
 
 
 def binomial_interval(

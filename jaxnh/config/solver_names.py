@@ -11,6 +11,6 @@ RUNGE_KUTTA = ("tsit5", "dopri5", "dopri8", "tsitouras_papakostas8", "verner9")
 NYSTROM = ("nystrom8",)
 
 ADAPTIVE = ("rodas5p", *(f"adaptive_{name}" for name in RUNGE_KUTTA))
-"""With steps of a lane's own; the first is linearly implicit."""
+"""Solvers with steps of a lane's own; the first is linearly implicit."""
 
 SOLVERS = (*SPLITTINGS, *RUNGE_KUTTA, *NYSTROM, *ADAPTIVE)

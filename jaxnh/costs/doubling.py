@@ -17,7 +17,7 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from jaxnh.analyses.base import Entry, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.cascade import follow
 from jaxnh.analyses.periodic.location import period_map, refined_maps, walk
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, orbits
@@ -219,18 +219,14 @@ def _dataset(batch: LaneBatch, estimates: list[Estimate], reference: float, plac
     variables = {
         "method": column(method, "method"),
         "effort": column(effort, "periods of transient, or rounds"),
-        axis.name: column(value, f"{axis.long_name} at the doubling", axis.units),
+        "value": column(value, f"{axis.long_name} at the doubling", axis.units),
         "error": column(
             error, f"distance of {axis.name} from that by interpolation with four times the steps", axis.units
         ),
         "seconds": column(seconds, "time since the method began, compilation apart", "s"),
         "cpu_seconds": column(cpu_seconds, "time of all processors since the method began", "s"),
+        "reference": variable((), reference, f"{axis.name} by interpolation with four times the steps", axis.units),
+        "period": variable((), place.n, "period of the orbit that doubles", counted_in=iterate_units(batch.system)),
+        "bracket": variable("end", np.array(place.bracket), f"ends of the {axis.name} that is searched", axis.units),
     }
-    attrs = {
-        "along": axis.name,
-        "reference": reference,
-        "period": place.n,
-        "bracket": np.array(place.bracket),
-        "threshold": _THRESHOLD,
-    }
-    return xr.Dataset(variables, attrs=attrs)
+    return xr.Dataset(variables, attrs={"along": axis.name, "threshold": _THRESHOLD})

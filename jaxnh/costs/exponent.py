@@ -83,12 +83,12 @@ def _dataset(
     batch: LaneBatch, value: float, averaged: Int[np.ndarray, " times"], averages: list[_Average], reference: float
 ) -> xr.Dataset:
     """Quantiles over the lanes, (averaged, quantile)."""
-    name, rate, spread = batch.first_axis.name, rate_attrs(batch.flow), ("averaging_periods", "quantile")
+    axis, rate, spread = batch.first_axis, rate_attrs(batch.flow), ("averaging_periods", "quantile")
     errors = np.abs(np.array([average.exponent for average in averages]) - reference)
     errors, bars = (
         np.quantile(values, _QUANTILES, axis=1).T for values in (errors, [average.bar for average in averages])
     )
-    together = f"a value of {name} of {_LANES} together, transient and all"
+    together = f"a value of {axis.name} of {_LANES} together, transient and all"
     seconds, cpu_seconds = ([getattr(average, kind) for average in averages] for kind in ("seconds", "cpu_seconds"))
     variables = {
         "averaging_periods": variable(
@@ -99,13 +99,9 @@ def _dataset(
         "error_bar": variable(spread, bars, "error bar that the analysis gives", **rate),
         "seconds": variable("averaging_periods", seconds, f"time {together}", "s"),
         "cpu_seconds": variable("averaging_periods", cpu_seconds, f"time of all processors {together}", "s"),
+        "value": variable((), value, f"{axis.long_name} of the lanes, about", axis.units),
+        "lanes": variable((), _LANES, "number of lanes"),
+        "reference": variable((), reference, "mean of the largest exponents of the longer run", **rate),
     }
-    attrs = {
-        "along": name,
-        name: value,
-        "reference": reference,
-        "reference_periods": 10 * int(averaged[-1]),
-        "lanes": _LANES,
-        "transient": _TRANSIENT,
-    }
+    attrs = {"along": axis.name, "reference_periods": 10 * int(averaged[-1]), "transient": _TRANSIENT}
     return xr.Dataset(variables, attrs=attrs)

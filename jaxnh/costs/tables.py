@@ -66,12 +66,12 @@ def forms(data: xr.Dataset) -> Table:
 def doubling(data: xr.Dataset) -> Table:
     """A row an estimate of the doubling point."""
     columns = _columns(data)
-    name, n, reference = data.attrs["along"], data.attrs["period"], data.attrs["reference"]
+    name, n, reference = data.attrs["along"], int(data["period"]), float(data["reference"])
     rows = [
         (
             str(method),
             f"{columns['effort'][i]:,}",
-            f"{columns[name][i]:.12f}",
+            f"{columns['value'][i]:.12f}",
             f"{columns['error'][i]:.1e}",
             f"{columns['cpu_seconds'][i]:.3f}",
         )
@@ -100,10 +100,10 @@ def exponent(data: xr.Dataset) -> Table:
         for i, periods in enumerate(columns["averaging_periods"])
     ]
     return Table(
-        f"Price of λ₁ = {data.attrs['reference']:.4f} at {name} = {data.attrs[name]:.6g}",
+        f"Price of λ₁ = {float(data['reference']):.4f} at {name} = {float(data['value']):.6g}",
         ("periods averaged", "error", "error bar", "seconds"),
         tuple(rows),
-        f"medians of {data.attrs['lanes']} lanes; processor time a value of {name}",
+        f"medians of {int(data['lanes'])} lanes; processor time a value of {name}",
         ruled=False,
     )
 

@@ -147,7 +147,7 @@ class Session:
         direction: str | None = None,
         *,
         normal: Mapping[str, float] | None = None,
-        longest: float | None = None,
+        longest_return: float | None = None,
     ) -> Session:
         """Return this session, with its programs, of a flow without a clock on a section.
 
@@ -156,7 +156,7 @@ class Session:
                 name.
             value: of the coordinate on the section.
             direction: "up", "down" or "both", of crossings.
-            longest: time without a crossing after which a lane fails.
+            longest_return: time without a crossing after which a lane fails.
 
         Raises:
             ConfigError: there is no such section.
@@ -166,7 +166,7 @@ class Session:
             "value": value,
             "direction": direction,
             "normal": normal,
-            "longest_return": longest,
+            "longest_return": longest_return,
         }
         seen = copy.copy(self)
         seen._plans = []

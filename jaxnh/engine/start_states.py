@@ -227,5 +227,5 @@ def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.
 
 
 def spread_indices(count: int, most: int) -> np.ndarray:
-    """At most `most` numbers below a count, evenly spaced, with both ends."""
+    """Return at most `most` numbers below a count, evenly spaced, with both ends."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

@@ -73,7 +73,7 @@ class SteppedStrobe(ReturnMap):
 
 
 class _Search(NamedTuple):
-    """On the way to a crossing.
+    """State of a search for the next crossing.
 
     Attributes:
         carried: the state, alone or with tangents, at the beginning of the next step.

@@ -190,7 +190,7 @@ def _equal(_: Arithmetic, __: Mapping[str, Any], a: Double, b: Double) -> Array:
 
 
 def _sum(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double) -> Double:
-    """Over axes, one after the other."""
+    """Sum over axes, one after the other."""
     for axis in sorted(params["axes"], reverse=True):
         parts = [
             Double(*(None if half is None else lax.index_in_dim(half, k, axis, keepdims=False) for half in a))

@@ -98,7 +98,7 @@ class _EqualSteps(JumpingStrobe):
 
 
 class _Approach(NamedTuple):
-    """On the way to a crossing.
+    """State of a march to the next crossing.
 
     Attributes:
         march: since the crossing before.

@@ -18,7 +18,7 @@ from jaxnh.maps.saltation import Arrival, Reading
 
 
 class March(NamedTuple):
-    """On the way through the steps of a map.
+    """State of a march through the steps of a map.
 
     Attributes:
         moving: the state, with tangents and the logarithm of volume where they are asked for.

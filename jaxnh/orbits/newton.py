@@ -47,7 +47,7 @@ class Images(Protocol):
     """Pⁿ and ∂Pⁿ/∂u of lanes, each with an n of its own: `derivatives` over some of them."""
 
     def __call__(self, u: Float[np.ndarray, "points d"], lane: Int[np.ndarray, " points"], /) -> Derivatives:
-        """At points of the lanes with these numbers, one or several of a lane."""
+        """Evaluate at points of the lanes with these numbers, one or several of a lane."""
         ...
 
 

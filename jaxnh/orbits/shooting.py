@@ -28,7 +28,7 @@ class Period(Protocol):
     """P and ∂P/∂u of lanes: `derivatives` of one period."""
 
     def __call__(self, u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"], /) -> Derivatives:
-        """At points and values of the parameter, a lane each."""
+        """Evaluate at points and values of the parameter, a lane each."""
         ...
 
 

@@ -86,12 +86,12 @@ def doubling(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.axhline(_SIXTH_DECIMAL, color="0.5", linewidth=0.9, linestyle=(0, (6, 3)))
     ax.annotate("half of the sixth decimal", (0.99, _SIXTH_DECIMAL), (0, 3), xycoords=ax.get_yaxis_transform(),
                 textcoords="offset points", ha="right", color="0.4", fontsize="small")  # fmt: skip
-    n = int(data.attrs["period"])
+    n = int(data["period"])
     ax.set(xscale="log", yscale="log")
     ax.grid(which="major")
     distance = with_units(f"error of the doubling point $|{symbol[1:-1]} - {located[1:-1]}|$", data["error"])
     ax.set(xlabel="processor time $t$ (s)", ylabel=distance)
-    ax.set_title(f"period {n} → {2 * n} at {located} = {float(data.attrs['reference']):.12f}")
+    ax.set_title(f"period {n} → {2 * n} at {located} = {float(data['reference']):.12f}")
     ax.set_xlim(cpu.min() / 1.3, cpu.max() * 2.5)
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return ax
@@ -101,7 +101,7 @@ def exponent(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Error of the largest Lyapunov exponent, true and as the analysis has it, against the averaging time."""
     ax = _axes(ax)
     periods = data["averaging_periods"].to_numpy()
-    longer, lanes = int(data.attrs["reference_periods"]), int(data.attrs["lanes"])
+    longer, lanes = int(data.attrs["reference_periods"]), int(data["lanes"])
     shown = (
         ("error", VERMILION, "o", f"distance from the mean of {lanes} lanes over {longer:,} periods"),
         ("error_bar", BLUE, "s", "error bar that the analysis gives"),
@@ -124,7 +124,8 @@ def exponent(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         xlabel=with_units("averaging time $N$", data["averaging_periods"]),
         ylabel=with_units("error of $λ_1$", data["error"]),
     )
-    title = f"{_at(data)}$λ_1$ = {float(data.attrs['reference']):.4f}; median of {lanes} lanes, band: 10–90%"
+    place = f"{_parameter(data)} = {float(data['value']):.6g}"
+    title = f"{place}, $λ_1$ = {float(data['reference']):.4f}; median of {lanes} lanes, band: 10–90%"
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), alignment="left", title=title)
     return ax
 
@@ -161,12 +162,6 @@ def figures(path: Path) -> dict[str, Figure]:
 def _parameter(data: xr.Dataset) -> str:
     """Symbol of the parameter that is swept: the first of the axes that the file names."""
     return symbol_of(next(iter(declared_axes(data)), "p"))
-
-
-def _at(data: xr.Dataset) -> str:
-    """Return where on the first axis a group is, if it says so in an attribute of that name."""
-    name = next(iter(declared_axes(data)), "")
-    return f"{symbol_of(name)} = {float(data.attrs[name]):.6g}, " if name in data.attrs else ""
 
 
 def _curve(ax: Axes, name: str, summation: str, seconds: np.ndarray, error: np.ndarray) -> None:

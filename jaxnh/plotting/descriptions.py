@@ -47,7 +47,7 @@ def _name_of(data: xr.Dataset) -> str:
     """The group that has such variables; "" where none has, or nothing tells it from another."""
     there = {*map(str, data.variables), *map(str, data.dims)}
     if "strobe" in there:
-        if "start" in there | data.attrs.keys() or "t" not in data:
+        if "start" in there or "start_states" in data.attrs or "t" not in data:
             return "diagram"
         return "poincare" if data.attrs or data["t"].dims == ("strobe",) else ""
     return next((name for name, (signs, _) in _GROUPS.items() if there.issuperset(signs)), "")

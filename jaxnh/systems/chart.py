@@ -76,14 +76,6 @@ class Chart(eqx.Module):
         """Largest difference of positions between points (..., dimension): (...,)."""
         return np.max(np.abs(self.wrap(first - second))[..., : self.positions], axis=-1, initial=0.0)
 
-    def observable(self, y: State) -> Vector:
-        """One number that represents a motion: the first coordinate, or of an angle cosine and sine.
-
-        An angle itself is no observable: it may grow for ever, and whole turns of it are no motion.
-        """
-        first = self.components(y)[0]
-        return (jnp.cos(first), jnp.sin(first)) if self.angles[0] else (first,)
-
     def scales(self, box: float) -> Float[np.ndarray, " dimension"]:
         """Half the extent of a box of points in each coordinate: of angles π."""
         return np.where(self.angles, np.pi, box)

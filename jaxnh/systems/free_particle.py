@@ -27,7 +27,7 @@ class FreeParticle(Lagrangian):
     """A particle in the plane under the paper's forces, equation (1); made by `free_particle`.
 
     Attributes:
-        without: effects that are left out, of `paper.EFFECTS`; without forcing there is no clock.
+        without: effects that are left out, of `particle_parameters.EFFECTS`; without forcing there is no clock.
     """
 
     without: frozenset[str] = eqx.field(static=True, default=frozenset())
@@ -84,7 +84,10 @@ class FreeParticle(Lagrangian):
 
 @functools.cache
 def definition(without: frozenset[str], constrained: bool = False) -> Callable[..., Definition]:
-    """Parameters a, b, c, d and ω to T, Q and, if constrained, f of the particle without some of `paper.EFFECTS`."""
+    """Parameters a, b, c, d and ω to T, Q and, if constrained, f of the particle.
+
+    Some of `particle_parameters.EFFECTS` may be left out.
+    """
 
     def system(a: Number, b: Number, c: Number, d: Number, omega: Number) -> Definition:
         def kinetic(q: Number, v: Number, t: Number) -> Number:
@@ -112,7 +115,10 @@ def definition(without: frozenset[str], constrained: bool = False) -> Callable[.
 
 
 def free_particle(a: float, b: float | None, omega: float, without: Collection[str] = ()) -> FreeParticle:
-    """The particle of equation (1) without some of `paper.EFFECTS`; b is None where every lane has its own."""
+    """The particle of equation (1) without some of `particle_parameters.EFFECTS`.
+
+    b is None where every lane has its own.
+    """
     left_out = frozenset(without)
     parameters = {"a": a, "b": 0.0 if b is None else b, "c": 0.0, "d": 0.0, "omega": omega}
     made = lagrangian(definition(left_out), parameters, of_lanes=("a", "b"))

@@ -97,7 +97,7 @@ class IsokineticParticle(Flow):
         d: amplitude of the disturbance of the squared speed.
         omega: angular frequency of the forcing g(t) = 1 + sin ωt, ω > 0.
         b: coupling; None where it is left out or every lane has its own.
-        without: effects that are left out, of `paper.EFFECTS` and "disturbance", which gives (12).
+        without: effects that are left out, of `particle_parameters.EFFECTS` and "disturbance", which gives (12).
     """
 
     a: ArrayLike
@@ -343,7 +343,10 @@ def _root(c: Number) -> Number:
 def constant_speed(
     a: float = 0.5, c: float = 1.0, omega: float = 1.0, b: float | None = None, without: Collection[str] = ()
 ) -> IsokineticParticle:
-    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1); `without` names effects of `paper.EFFECTS`."""
+    """x2² + y2² = c: equation (12) of the paper (figures 1–5, table 1).
+
+    `without` names effects of `particle_parameters.EFFECTS`.
+    """
     return IsokineticParticle(a, c, 0.0, omega, b, frozenset(without) - {"damping"} | {"disturbance"})
 
 

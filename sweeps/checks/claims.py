@@ -30,7 +30,7 @@ class Finding(NamedTuple):
 
 
 def check(claim: Claim, root: Path = ROOT) -> Finding:
-    """Whether the words are there, and the numbers are those of the source."""
+    """Check that the words are there, and that the numbers are those of the source."""
     text = (root / claim.where).read_text(encoding="utf-8")
     if _folded(claim.words) not in _folded(text):
         return Finding(claim, True, f"not in {claim.where}: {claim.words!r}")
@@ -50,7 +50,7 @@ def check(claim: Claim, root: Path = ROOT) -> Finding:
 
 
 def rounds_to(value: float, quoted: str) -> bool:
-    """Whether a value, rounded to the digits of a quoted number, is that number."""
+    """Return whether a value, rounded to the digits of a quoted number, is that number."""
     plain = quoted.replace(",", "").replace("−", "-")
     digits = plain.lower().partition("e")[0].partition(".")[2]
     form = "e" if "e" in plain.lower() else "f"

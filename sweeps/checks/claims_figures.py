@@ -12,7 +12,7 @@ PEERS, SLOWING, HARD = "results/peers.md", "results/critical_slowing.md", "resul
 
 
 def fewer_kicks(root: Path) -> list[float]:
-    """How many times fewer kicks `processed6` needs than the next splitting, the most over the targets."""
+    """Return how many times fewer kicks `processed6` needs than the next splitting, the most over the targets."""
     lines = [r for r in rows((root / PEERS).read_text(encoding="utf-8"), "Forms tried") if r["peer"] == "jaxnh"]
     ratios = []
     for target in dict.fromkeys(line["target"] for line in lines):

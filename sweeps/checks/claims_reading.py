@@ -1,4 +1,4 @@
-"""How numbers are read from pages and result files: rows of a table, cells, patterns, doublings."""
+"""Reading of numbers from pages and result files: rows of a table, cells, patterns, doublings."""
 
 from __future__ import annotations
 

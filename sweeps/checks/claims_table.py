@@ -267,7 +267,7 @@ def _slowing() -> list[Claim]:
 
 
 def _settings() -> list[Claim]:
-    """What a config or the code itself says."""
+    """Return the claims of what a config or the code itself says."""
     fig04 = "configs/fig04.yaml"
     return [
         Claim(
@@ -290,7 +290,7 @@ def _settings() -> list[Claim]:
 
 
 def _pictures() -> list[Claim]:
-    """What is seen in a picture of results/, which its command draws again."""
+    """Return the claims of what is seen in a picture of results/, which its command draws again."""
     return [
         Claim(
             _ACCURACY,

@@ -20,7 +20,7 @@ _LINE = re.compile(r"Measured at commit (?P<commit>.+?), `jaxnh/` of hash (?P<co
 
 
 class Stamp(NamedTuple):
-    """Which code it was.
+    """The code that was measured.
 
     Attributes:
         commit: in short, "unknown" outside a git checkout, and " with changes" where files differed from it.
@@ -51,7 +51,7 @@ def code_hash(root: Path = ROOT) -> str:
 
 
 def measured_since(files: Iterable[Path], root: Path = ROOT) -> bool:
-    """Whether all of some files were written after the package's last change, by the times of the file system."""
+    """Return whether all files were written after the package's last change, by the times of the file system."""
     changed = max(path.stat().st_mtime for path in (root / PACKAGE).rglob("*.py"))
     return all(path.stat().st_mtime >= changed for path in files)
 
@@ -76,7 +76,7 @@ def last_commit(path: str, root: Path = ROOT) -> str:
 
 
 def _git(root: Path, *arguments: str) -> str:
-    """What git prints, "" where there is no git or no checkout."""
+    """Return what git prints, "" where there is no git or no checkout."""
     try:
         done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=False)
     except OSError:

@@ -114,7 +114,7 @@ def faults(folder: Path) -> Iterator[str]:
 
 
 def _says_too_little(name: str) -> bool:
-    """Whether a name is one word, and that a participle, a preposition or an adverb."""
+    """Return whether a name is one word, and that a participle, a preposition or an adverb."""
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
     if len(words) != 1:
         return False

@@ -1,4 +1,4 @@
-"""What a newcomer types, run as it stands in the README and the how-to pages: does it end well, and as soon as it did?
+"""Commands that a newcomer types, run as they stand on the pages: do they end well, and as soon as they did?
 
     make newcomer, or python -m sweeps.checks.newcomer [--only NAME] [--beside N] [--write]
 
@@ -46,7 +46,7 @@ _LEFT_OUT = {
 """Lines that are not run, by what they have in them, and why."""
 
 _BEFORE = {"docs/howto/pictures.md": "jaxnh sweep configs/fig04.yaml"}
-"""What a page takes for done."""
+"""Commands that a page takes for done."""
 
 _YARDSTICK = """\
 import jax, jax.numpy as jnp
@@ -144,7 +144,7 @@ def _commands(body: str) -> tuple[str, ...]:
 
 
 class Ran(NamedTuple):
-    """How an example ended: seconds, and what was wrong, or ""."""
+    """End of an example: seconds, and what was wrong, or ""."""
 
     seconds: float
     fault: str
@@ -195,7 +195,7 @@ def _environment(folder: Path, cache: Path) -> dict[str, str]:
 
 
 def _ended(command: str, folder: Path, environment: Mapping[str, str]) -> str:
-    """What is wrong with how a command ends, or ""."""
+    """Return what is wrong with how a command ends, or ""."""
     done = subprocess.run(["bash", "-e", "-c", command], cwd=folder, env=environment, capture_output=True, text=True)
     if done.returncode == 0 and "Traceback" not in done.stderr:
         return ""

@@ -1,4 +1,4 @@
-"""Whether a release is fit to go out: wheel and sdist, each installed and used where the repository is not.
+"""Check whether a release is fit to go out: wheel and sdist, each installed and used where the repository is not.
 
     make release-check [NEWEST=PYTHON]
 
@@ -77,7 +77,7 @@ _IN_SDIST = ("pyproject.toml", "README.md", "CHANGELOG.md", "CITATION.cff", "LIC
 
 
 class Unfit(Exception):
-    """What keeps the release back, in one sentence."""
+    """A fault that keeps the release back, in one sentence."""
 
 
 def build(folder: Path) -> tuple[Path, Path]:
@@ -152,7 +152,7 @@ def options_there(python: str, folder: Path) -> list[tuple[str, str]]:
 
 
 def refused_options(python: str, folder: Path) -> list[str]:
-    """Those of them that the process of a first array does not survive."""
+    """Return the options that the process of a first array does not survive."""
     first = "import jax; print(jax.jit(jax.numpy.sin)(jax.numpy.ones(8))[0])"
     refused = []
     for key, one in options_there(python, folder):
@@ -163,7 +163,7 @@ def refused_options(python: str, folder: Path) -> list[str]:
 
 
 def idle_options(python: str, folder: Path) -> list[str]:
-    """Those of them in whose place the opposite gives a loop over kicks code of the same size.
+    """Return the options in whose place the opposite gives a loop over kicks code of the same size.
 
     One program compiled twice differs by a register or an alignment, its code by less than 1 % in size; with the
     opposite of an option that acts it differs by 13 % and more.
@@ -198,7 +198,7 @@ def _code_of_kicks(python: str, folder: Path, options: list[tuple[str, str]]) ->
 
 
 def _wide_vectors() -> bool:
-    """Whether the processor has vectors of eight float64, as Linux says it."""
+    """Return whether the processor has vectors of eight float64, as Linux says it."""
     try:
         return "avx512f" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except OSError:

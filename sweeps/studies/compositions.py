@@ -1,4 +1,4 @@
-"""How the processed splitting of this project was found: conditions, search and measurement.
+"""Search for the processed splitting of this project: conditions, search and measurement.
 
     python -m sweeps.studies.compositions [--stages 8] [--starts 96] [--processor 14] [--tries 400] [--seed 1]
 

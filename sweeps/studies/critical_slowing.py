@@ -1,4 +1,4 @@
-"""What critical slowing down does to a plain detection of the period, beside the published doubling points.
+"""Effect of critical slowing down on a plain detection of the period, beside the published doubling points.
 
 Run `python -m sweeps.studies.critical_slowing` after `make table1 table2`. Each lane starts from the start state, waits
 for a transient of N periods and compares strobe points with a threshold ε; multisection on the detected period gives

@@ -61,7 +61,7 @@ class Cascade(NamedTuple):
 
 
 class Law(NamedTuple):
-    """What decides the bias near a doubling; each of shape (levels,).
+    """Numbers that decide the bias near a doubling; each of shape (levels,).
 
     One turn (n periods) of the orbit takes the difference D of strobe points a turn apart to μ (1 − γ D² + …) D, with
     μ = −1 + κ β. Started far away, |D| falls below ε after N periods where β = (n / 2 κ N) ln(1 + κ β / (γ ε²)).
@@ -156,7 +156,7 @@ def _multisect(
     window: np.ndarray,
     tolerance: np.ndarray,
 ) -> np.ndarray:
-    """Where `doubled`, of values and the jobs they belong to, turns true; brackets and windows are (2, jobs).
+    """Return where `doubled`, of values and the jobs they belong to, turns true; brackets and windows are (2, jobs).
 
     A bracket that misses the turn moves on inside its window; NaN where the whole window misses it.
     """
@@ -265,7 +265,7 @@ def checked_rows(study: Study) -> np.ndarray:
 
 
 def agreement(studies: list[Study], transients: np.ndarray, j: int) -> Agreement:
-    """How threshold number j agrees with the checked rows, biases interpolated between the N that were run."""
+    """Return how threshold number j agrees with the checked rows, biases interpolated between the N that were run."""
     fine = np.geomspace(transients[0], transients[-1], 2000)
     near, needed = [], []
     for study in studies:

@@ -1,4 +1,4 @@
-"""What `levels` with `refine: boundary` makes of a chart that is there in full: lanes computed, pixels that differ.
+"""`levels` with `refine: boundary` on a chart that is there in full: lanes computed, pixels that differ.
 
     python -m sweeps.timing.adaptive_charts results/chart_b_d.h5 [--levels 2 3 4 5]
 

@@ -1,4 +1,4 @@
-"""What every effect and every analysis costs, on scenes of the paper and beyond it, as one page.
+"""Costs of every effect and every analysis, on scenes of the paper and beyond it, as one page.
 
     make effects
 

@@ -1,4 +1,4 @@
-"""How soon a zoom of the explorer is seen, coarse and refined; writes results/explore.md.
+"""Time until a zoom of the explorer is seen, coarse and refined; writes results/explore.md.
 
     python -m sweeps.timing.explore_latency [--zooms 24] [--beside TEXT]
 

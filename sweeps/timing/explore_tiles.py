@@ -1,4 +1,4 @@
-"""How soon a view of a chart of 1e8 lanes is seen, and what is read for it; writes results/explore_tiles.md.
+"""Time until a view of a chart of 1e8 lanes is seen, and what is read for it; writes results/explore_tiles.md.
 
     python -m sweeps.timing.explore_tiles [--count 10000] [--folder FOLDER] [--beside TEXT]
 

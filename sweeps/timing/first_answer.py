@@ -1,4 +1,4 @@
-"""How soon strangers' flows are answered, and how rightly; writes results/first_answer.md.
+"""Time until strangers' flows are answered, and how right the answers are; writes results/first_answer.md.
 
     python -m sweeps.timing.first_answer [NAME ...] [--every N] [--kept COUNT]
 
@@ -82,7 +82,7 @@ Apart from the independent integration, or from a flow that its steps do not res
 
 
 def differs(name: str, output: Path, spectra: Mapping[str, Mapping[str, Sequence[float]]]) -> str | None:
-    """How a spectrum differs from the independent one; "" where it does not, None where there is none."""
+    """Return how a spectrum differs from the independent one; "" where it does not, None where there is none."""
     if name not in spectra:
         return None
     with h5py.File(output) as file:

@@ -1,4 +1,4 @@
-"""What a graphics card gains: maps beside plain diffrax on the same device, spectra, charts, basins, Newton.
+"""Gains of a graphics card: maps beside plain diffrax on the same device, spectra, charts, basins, Newton.
 
     python -m sweeps.timing.gpu [--small] [--repeats 3] [--tuned FILE] [--output results/gpu.md]
 
@@ -44,7 +44,7 @@ _START = {"x1": 0.1, "x2": 0.1, "y1": 0.1}
 
 
 class Sizes(NamedTuple):
-    """How much is computed.
+    """Sizes of the computations.
 
     Attributes:
         targets: errors of one period's map.

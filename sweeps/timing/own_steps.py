@@ -1,4 +1,4 @@
-"""What steps of lanes of their own gain over common ones, where one lane in a hundred is a hundred times as fast.
+"""Gain of steps of lanes of their own over common ones, where one lane in a hundred is a hundred times as fast.
 
     python -m sweeps.timing.own_steps [--lanes 4096] [--repeats 3]
 

@@ -1,4 +1,4 @@
-"""What steps chosen for each tile of neighbouring lanes would gain over one number of steps for a whole sweep.
+"""Gain that steps chosen for each tile of neighbouring lanes would have over one number of steps for a whole sweep.
 
     python -m sweeps.timing.steps_per_tile [--repeats 7] [--tiles 128 64]
 

@@ -327,7 +327,7 @@ def test_random_starts(tmp_path):
         ({"n_starts": 4, "box": {"x": [1.0, 0.0]}}, {}, "the first number must be the lower one, not 1 and 0"),
         ({"n_starts": 4, "box": {"z": [0.0, 1.0]}}, {}, "there is no coordinate z; known are x, v"),
         ({"n_starts": 4, "box": {"x": [0.0, 1.0]}}, {"v": {"values": [0.0]}}, "random starts and the axis v of start"),
-        ({"seed": 4}, {}, "goes with starts, and there are none"),
+        ({"seed": 4}, {}, "goes with n_starts, and there are none"),
         ({"transient": 64, "max_periods": 100}, {}, "must be at least twice the transient, 128"),
     ],
 )

@@ -116,7 +116,7 @@ def test_random_starts_find_what_no_lane_settles_on(tmp_path):
         ("mu: {start: 0.1, stop: 0.5, count: 3}, z: {values: [0.1, 0.2]}", "{}", "along one axis; leave out z"),
         ("mu: {values: [0.1]}", "{}", "the sweep has one value of it"),
         ("mu: {values: [0.1, 0.2]}", "{n_starts: 4}", "needs a box to draw from"),
-        ("mu: {values: [0.1, 0.2]}", "{seed: 4}", "goes with starts, and there are none"),
+        ("mu: {values: [0.1, 0.2]}", "{seed: 4}", "goes with n_starts or equilibria, and there are none"),
         ("mu: {values: [0.1, 0.2]}", "{n_starts: 4, box: {w: [0, 1]}}", "there is no coordinate w"),
     ],
 )

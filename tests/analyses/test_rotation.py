@@ -82,7 +82,7 @@ def test_linear_torus(system):
     start = {"angle": 0.2} if system is rigid else {"x": 0.9, "y": -0.2}
     data = jaxnh.Session(system, start=start).run(jaxnh.Rotation(), omega=np.array([GOLDEN, 2 / 7, 0.98]))
     assert kinds(data) == ["unlocked", "locked", "locked"]
-    assert data.attrs["angle"] == ("of angle" if system is rigid else "of x, y about the mean of the points")
+    assert data.attrs["rotating_angle"] == ("of angle" if system is rigid else "of x, y about the mean of the points")
     assert data["denominator"].to_numpy().tolist() == [0, 7, 50]
     assert data["numerator"].to_numpy().tolist() == [0, 2, 49]
     error = np.abs(data["rotation"].to_numpy() - [GOLDEN, 2 / 7, 0.98])

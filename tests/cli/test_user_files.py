@@ -63,7 +63,7 @@ def test_a_calibration_that_takes_long_says_how_far_it_is(tmp_path, monkeypatch)
     run = run_here("own.yaml", cwd=tmp_path)
     *said, last = run.stderr.splitlines()
     assert run.returncode == 2
-    assert any(" kicks a period, references differ by " in line for line in said)
+    assert any(" evaluations of the field a period, references differ by " in line for line in said)
     assert "; the right-hand side jumps at t = " in last
 
 

@@ -248,7 +248,7 @@ def test_a_section():
     """Returns of Lorenz's flow to z = 27, upward; the session that it is of is as it was."""
     session = jaxnh.Session(lorenz, start=START, target=1e-6)
     seen = session.on(coordinate="z", value=27.0, direction="up")
-    assert session.on(coordinate="z", value=27.0, longest=50.0).experiment.dynamics().longest == 50.0
+    assert session.on(coordinate="z", value=27.0, longest_return=50.0).experiment.dynamics().longest == 50.0
     found = seen.run(jaxnh.Poincare(transient=8, strobes=16), rho=[28.0])
     assert np.abs(found["z"].to_numpy() - 27.0).max() < 1e-9
     x, y = found["x"].to_numpy(), found["y"].to_numpy()

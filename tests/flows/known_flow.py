@@ -1,4 +1,4 @@
-"""What a flow with a known answer is."""
+"""The record of a flow with a known answer."""
 
 from __future__ import annotations
 

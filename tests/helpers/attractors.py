@@ -1,4 +1,4 @@
-"""What the analysis `basins` says of attractors, in words and numbers: kinds, changes, and whether two labellings agree."""
+"""Words and numbers of the analysis `basins` on attractors: kinds, changes, and whether two labellings agree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def kinds(attractors):
 
 
 def same_partition(ours, theirs):
-    """Whether two labels of the same starts say the same, whatever the labels are."""
+    """Return whether two labels of the same starts say the same, whatever the labels are."""
     pairs = set(zip(ours, theirs, strict=True))
     return len(pairs) == len(set(ours)) == len(set(theirs))
 

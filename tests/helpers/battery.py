@@ -38,11 +38,11 @@ CASES = (
 
 
 HELD, REFUSED, FAILED = "held", "refused", "**failed**"
-"""What the last column of a row says; of a refusal, the reason as well."""
+"""Words of the last column of a row; of a refusal, the reason as well."""
 
 
 class Battery:
-    """What a hard case is given: whether sizes are full, and where its numbers and picture go.
+    """The setting of a hard case: whether sizes are full, and where its numbers and picture go.
 
     Attributes:
         full: full sizes, as `make hard` asks for; else small ones.
@@ -197,7 +197,7 @@ def _split(text, level):
 
 
 def _section(tests, measured_at, before):
-    """What the tests of a case have kept, each below its name; of its other tests what the section had before.
+    """Return what the tests of a case have kept, each below its name; of its other tests what the section had before.
 
     A section of before that has no names of tests stands at the head until all the tests of its commands are anew.
     """
@@ -217,7 +217,7 @@ def _function(test):
 
 
 def _block(tests, measured_at):
-    """What a test has kept, or its cases."""
+    """Return what a test has kept, or its cases."""
     kept = [(name, item) for test in tests for name, item in test.kept]
     rows = [item for name, item in kept if name == "hard row"]
     lines = [f"{measured_at} {sum(test.seconds for test in tests):.0f} s.", ""]

@@ -1,4 +1,4 @@
-"""What every group of a result keeps to, whatever the analysis, the flow and the number of axes."""
+"""Rules that every group of a result keeps to, whatever the analysis, the flow and the number of axes."""
 
 from __future__ import annotations
 
@@ -29,6 +29,35 @@ _OF_TIME = {
     "eigenvalues",
     "saddle_quantity",
 }
+_ATTRIBUTES = {
+    "along",
+    "along_flow",
+    "angles",
+    "axes",
+    "complete_to",
+    "confirmation_factor",
+    "max_denominator",
+    "max_harmonics",
+    "max_period",
+    "method",
+    "orbit_reversal",
+    "orthonormalisations_per_period",
+    "over",
+    "refinement_for_tangents",
+    "reversal",
+    "rotating_angle",
+    "rows",
+    "search",
+    "section",
+    "section_coordinate",
+    "start_states",
+    "strobe_phase",
+    "strobes",
+    "transient",
+    "warnings",
+    "within",
+}
+"""Names of attributes of groups, whatever the analysis: no variable has one of these names."""
 _OF_PARAMETER = {"first", "last", "begin", "end", "limit", "crisis", "doubling", "spacing", "tangency"}
 WITHOUT_LANES = (
     "doubling",
@@ -46,7 +75,7 @@ WITHOUT_LANES = (
 
 
 def is_unit(text):
-    """Whether UDUNITS reads it: 1, or known symbols with whole exponents, multiplied by blanks or dots, or divided."""
+    """Return whether UDUNITS reads it: 1, or known symbols with whole exponents, with blanks, dots or slashes between."""
     factors = [factor.strip("() ") for factor in re.split(r"[ ./]", text) if factor.strip("() ")]
     return bool(factors) and all(
         factor == "1" or ((found := _FACTOR.fullmatch(factor)) and found.group(1) in _SYMBOLS) for factor in factors
@@ -61,8 +90,11 @@ def check(name, data, unsaid=()):
         data: its dataset.
         unsaid: coordinates, parameters and "t" whose units the system does not say.
     """
-    assert not set(data.attrs) & {str(key) for key in data.variables}, "a number is an attribute or a variable"
-    assert not [key for key in data.attrs if key.startswith("panel")]
+    attributes, variables = {str(key) for key in data.attrs}, {str(key) for key in data.variables}
+    assert not attributes & variables, "a number is an attribute or a variable"
+    assert attributes <= _ATTRIBUTES, f"not among the attributes of groups: {sorted(attributes - _ATTRIBUTES)}"
+    others = variables & _ATTRIBUTES - set(unsaid)
+    assert not others, f"attributes of other groups are variables here: {sorted(others)}"
     for key, variable in data.variables.items():
         _check_words(str(key), variable, unsaid)
         _check_flags(str(key), variable)

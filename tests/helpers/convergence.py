@@ -1,4 +1,4 @@
-"""How errors of maps fall with their steps, and their derivatives, on the calm particle, against the Taylor reference."""
+"""Errors of maps and their derivatives, falling with the steps, on the calm particle, against the Taylor reference."""
 
 from __future__ import annotations
 

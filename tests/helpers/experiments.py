@@ -8,7 +8,7 @@ STROBES = {"poincare": {"transient": 20, "strobes": 3}}
 
 
 def content(sweep, analyses=STROBES, system=None, accuracy=FEW, **others):
-    """What an experiment says; what is swept stands in the sweep alone."""
+    """The content of an experiment; what is swept stands in the sweep alone."""
     system = dict(PARTICLE if system is None else system)
     return {
         "system": {name: value for name, value in system.items() if name not in sweep},

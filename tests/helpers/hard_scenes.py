@@ -1,4 +1,4 @@
-"""What the hard cases share: a scene calibrated and held against the Taylor reference on lanes it was not measured on."""
+"""Tools of the hard cases: a scene calibrated and held against the Taylor reference on lanes it was not measured on."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def hold(lanes, system, start, values, target, count=24):
 
 
 def roundings(enlarged):
-    """What the roundings of a period come to that enlarges small errors so many times.
+    """Return what the roundings of a period come to that enlarges small errors so many times.
 
     Those of N kicks add up at random, to √N uE if all are enlarged E times as some are; N is at most 2²⁰.
     """

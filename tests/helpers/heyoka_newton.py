@@ -81,7 +81,7 @@ def section_map(rates, d, place, level, direction):
 
 
 def _crossing_time(rates, d, place, level, direction, value, start):
-    """When a motion first passes the level in a direction, +1 or −1, after it has left it."""
+    """Return when a motion first passes the level in a direction, +1 or −1, after it has left it."""
     ta, times = _with_events(rates, d, place, level, direction)
     times.clear()
     ta.pars[0], ta.state[:], ta.time = REAL(value), start, REAL(0)
@@ -126,11 +126,11 @@ TESTS = {
     "period_doubling": lambda matrix: _less(matrix, -1),
     "neimark_sacker": lambda matrix: _less(minors(matrix), 1),
 }
-"""What is zero at a bifurcation, by its kind."""
+"""Functions that are zero at a bifurcation, by its kind."""
 
 
 def newton(mismatch, at):
-    """Where a function of some unknowns, of as many components, is zero; slopes by differences.
+    """Return where a function of some unknowns, of as many components, is zero; slopes by differences.
 
     Raises:
         ArithmeticError: the steps do not become small.

@@ -75,7 +75,7 @@ class Job:
         assert process.poll() is None, process.communicate()
 
     def left(self):
-        """What is beside the config and the script."""
+        """Return what is beside the config and the script."""
         return {path.name for path in self.folder.iterdir()} - {"job.yaml", "command.py"}
 
 

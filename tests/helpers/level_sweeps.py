@@ -7,7 +7,7 @@ ANALYSES = {"lyapunov": {"transient": 16, "periods": 32, "exponents": 1}, "perio
 
 
 def said(sweep, levels=None, analyses=ANALYSES):
-    """What an experiment says."""
+    """Return the content of an experiment."""
     return {
         "system": {"constraint": "disturbed_speed" if "d" in sweep else "constant_speed", "c": 1.0, "omega": 1.0},
         "sweep": sweep,

@@ -136,7 +136,7 @@ def batch_integrator(system, tol):
 
 
 def strobe_of_many(par, b, state, periods=1, tol=1e-15):
-    """As `strobe` in float64, for one b and many states (lanes, 3), each with steps of its own: in a vector's lanes."""
+    """The strobe in float64, for one b and many states (lanes, 3), each with steps of its own: in a vector's lanes."""
     ta, n = batch_integrator(par.equations, tol)
     period, state = float(par.period), np.array(state, dtype=float)
     ta.pars[:] = np.array([b, par.a, par.c, par.d, par.omega], dtype=float)[:, None]
@@ -325,7 +325,7 @@ def still_flow(constrained, cubic, coupled, damped):
 def crossings(
     state, b, number, count, *, a=0.5, c=1.0, direction=1, constrained=True, cubic=True, coupled=True, damped=True
 ):
-    """Where a motion from a state (d,) first passes zero in a position upwards (1), downwards (−1) or both (0).
+    """Return where a motion from a state (d,) first passes zero in a position upwards (1), downwards (−1) or both (0).
 
     The `count` first states with their times, (count, d + 1). Without a constraint c and a state of three are not used.
     """
@@ -428,7 +428,7 @@ def orbit(par, n, b, state):
 
 @dataclass(frozen=True)
 class DoublingInfo:
-    """What `doubling_point` found besides b; n is the period that doubles.
+    """Further results of `doubling_point`; n is the period that doubles.
 
     residual: largest mismatch of the shooting equations
     error: bound of the error of b: its sensitivity to the mismatch, times the largest of the mismatch left, its
@@ -483,7 +483,7 @@ def mismatch_jacobian(par, b, points, vectors, normal):
 
 
 def doubling_point(par, n, b_guess, state_guess, real=REAL):
-    """Where a period-n orbit has the multiplier -1: b, a state (3,) of the orbit, and a DoublingInfo.
+    """Return where a period-n orbit has the multiplier -1: b, a state (3,) of the orbit, and a DoublingInfo.
 
     Newton on all n points, the n vectors and b at once (multiple shooting): no product of monodromy matrices is
     formed, and no error grows over more than one period. The residual is evaluated in `real`, the matrix and the

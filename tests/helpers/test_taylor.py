@@ -54,7 +54,7 @@ def apart(left, right):
 
 
 def growth(par, b, states):
-    """How much one period enlarges an error of the start (lanes,), and its inverse an error of the end (lanes,)."""
+    """Return how much one period enlarges an error of the start (lanes,), and its inverse an error of the end (lanes,)."""
     monodromy = taylor.strobe_jacobian(par, b, states)[1].astype(float)
     return np.linalg.norm(monodromy, 2, axis=(1, 2)), np.linalg.norm(np.linalg.inv(monodromy), 2, axis=(1, 2))
 

@@ -16,11 +16,13 @@ def price_of_a_doubling():
     variables = {
         "method": (("estimate",), method, "method", "1"),
         "effort": (("estimate",), np.array([100, 1000, 1, 2, 0, 1]), "work", "1"),
-        "gain": (("estimate",), np.full(6, 5.5), "gain at the doubling", "V"),
+        "value": (("estimate",), np.full(6, 5.5), "gain at the doubling", "V"),
         "error": (("estimate",), np.array([1e-3, 3e-4, 1e-4, 1e-7, 1e-6, 0.0]), "distance", "V"),
         "cpu_seconds": (("estimate",), np.linspace(0.1, 3, 6), "time", "s"),
+        "period": ((), np.array(2), "period", "1"),
+        "reference": ((), np.array(5.5196209), "gain at the doubling", "V"),
     }
-    return dataset({}, variables, period=2, reference=5.5196209)
+    return dataset({}, variables)
 
 
 def price_of_an_exponent():
@@ -30,8 +32,11 @@ def price_of_an_exponent():
         "error": (("averaging_periods", "quantile"), quantiles, "error", "1/s"),
         "error_bar": (("averaging_periods", "quantile"), 2 * quantiles, "error bar", "1/s"),
         "cpu_seconds": (("averaging_periods",), np.array([0.1, 1.2]), "time", "s"),
+        "value": ((), np.array(5.3), "gain of the lanes", "V"),
+        "lanes": ((), np.array(64), "number of lanes", "1"),
+        "reference": ((), np.array(0.1), "mean of a longer run", "1/s"),
     }
-    return dataset({}, variables, reference=0.1, reference_periods=2560, lanes=64, gain=5.3)
+    return dataset({}, variables, reference_periods=2560)
 
 
 def price_of_solvers():

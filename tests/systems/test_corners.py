@@ -64,7 +64,7 @@ SURFACES = {
 
 @pytest.mark.parametrize(("rhs", "count"), SURFACES.values(), ids=SURFACES)
 def test_surfaces_and_the_field(rhs, count):
-    """As many as there are; by its branches the field is as it was, to the last bit."""
+    """All surfaces are found; by its branches the field is as it was, to the last bit."""
     define, located = made(rhs)
     system = piecewise_smooth(located, {"a": 1.0})
     assert system.switches == count

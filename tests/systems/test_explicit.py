@@ -208,7 +208,7 @@ def divergence_along(strobe, system, state, p):
 
 
 def test_a_state_off_the_constraint_is_brought_back_or_fails(lanes):
-    """As with projected steps: a hundredth is projected along M⁻¹ Aᵀ, and what is beyond measure is a failure."""
+    """The same as with projected steps: a hundredth is projected along M⁻¹ Aᵀ, and what is beyond measure is a failure."""
     system, start = SYSTEMS["governor"][0], on_constraints("governor")
     p = {"drive": np.array([0.8])}
     strobe = make_return_map(system, tsit5, 80)

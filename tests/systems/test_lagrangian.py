@@ -86,7 +86,7 @@ def test_held_particle_is_12_and_22(system):
 
 @systems
 def test_sign_slip_of_21(system):
-    """As printed, with −(d cos t)/2, (21) is off by (d cos t)/2/(c + d sin t), half of it from either sign."""
+    """(21) as printed, with −(d cos t)/2, is off by (d cos t)/2/(c + d sin t), half of it from either sign."""
     v = on_the_constraint(system)
     _, (multiplier,), _ = solved(system, v, system.c, system.d)
     slip = system.d * np.cos(T) / (2 * (system.c + system.d * np.sin(T)))

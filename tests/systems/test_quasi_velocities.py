@@ -315,7 +315,7 @@ def test_reaction_carries_the_weight():
 
 
 def test_structure_constants_of_rigid_motion():
-    """Those of the place and the three axes of a body, twelve coordinates that determine them."""
+    """The structure constants from the place and the three axes of a body, twelve coordinates that determine them."""
 
     def define():
         return {
@@ -366,7 +366,7 @@ def wheel(ratio=1.0):
 
 
 def test_dependent_velocities_that_are_not_given_are_singular():
-    """As constraints that lose rank: the lane at z = 0 fails with its reason, another one goes on."""
+    """The same as with constraints that lose rank: the lane at z = 0 fails with its reason, another one goes on."""
     flow = lagrangian(wheel, {"ratio": 1.0})
     zero = np.zeros(2)
     y = Motion((zero, zero, np.array([0.0, 2.0])), (np.array([1.0, 1.0]),), (zero, zero))

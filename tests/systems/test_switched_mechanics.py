@@ -138,7 +138,7 @@ def test_a_nonlinear_constraint_that_begins():
 
 
 def test_the_nearest_velocity_in_the_metric_of_the_mass():
-    """Where the mass is not the same in all directions: the impulse is along ∂f/∂v at the velocity after it."""
+    """The mass is not the same in all directions: the impulse is along ∂f/∂v at the velocity after it."""
 
     def regulated(c=0.5):
         return {

@@ -1,4 +1,4 @@
-"""What tracing tells is looked at once for a structure, and the equations of a function are listed once."""
+"""Facts from tracing are looked up once for a structure, and the equations of a function are listed once."""
 
 import jax
 import jax.numpy as jnp

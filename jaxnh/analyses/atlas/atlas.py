@@ -76,12 +76,12 @@ def check(options: AtlasOptions, setting: Setting) -> None:
 
 
 def _branches_options(options: AtlasOptions) -> BranchesOptions:
-    return BranchesOptions(**_shared(options, BranchesOptions, "n_starts", "equilibria", "seed", "box"))
+    return BranchesOptions(**_shared(options, "n_starts", "equilibria", "seed", "box"))
 
 
 def _curves_options(options: AtlasOptions) -> CurvesOptions:
     names = ("equilibria", "seed", "box") if options.equilibria else ()
-    return CurvesOptions(**_shared(options, CurvesOptions, *names), n_values=options.n_values)
+    return CurvesOptions(**_shared(options, *names), n_values=options.n_values)
 
 
 def _windows_options(options: AtlasOptions) -> WindowsOptions:
@@ -89,7 +89,7 @@ def _windows_options(options: AtlasOptions) -> WindowsOptions:
     return WindowsOptions(**{name: getattr(options, name) for name in names})
 
 
-def _shared(options: AtlasOptions, kind: type, *names: str) -> dict[str, Any]:
+def _shared(options: AtlasOptions, *names: str) -> dict[str, Any]:
     """Options of another analysis: periods and the transient, and of steps and starts those that are given."""
     steps = ("ds", "ds_min", "ds_max", "max_steps")
     given = {name: getattr(options, name) for name in (*steps, *names) if name in options.model_fields_set}

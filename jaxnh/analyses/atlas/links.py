@@ -1,4 +1,4 @@
-"""From bifurcations on branches to the curves that go through them: host code."""
+"""Links from bifurcations on branches to the curves that go through them: host code."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxnh.orbits.continuation.curves import Curve
 from jaxnh.systems.chart import Wrap
 
 NONE = -1
-"""In place of the number of a curve."""
+"""Number that stands for no curve."""
 
 _NEAR = 2e-2  # widths: chords of a curve are as near to it, whose steps are as long at most
 _SAME = 0.2  # sizes: orbits at both ends of a chord are no further apart, and other ones mostly are

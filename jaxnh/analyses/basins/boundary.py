@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float, Int
 from jaxnh.analyses.base import OptionError, Setting, variable
 from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.exponents.errors import student
+from jaxnh.analyses.intervals import normal_quantile
 
 BOX = 5
 """Starts along an edge of a box."""
@@ -34,7 +35,6 @@ _FARTHEST = 8  # part of an edge that the largest distance is
 _SCALES = 3
 _FEWEST = 10  # starts that differ, for a distance to count
 _EVEN = 1e-6  # of a distance between neighbours: how far these may differ along an axis
-_COVER = 1.959963984540054  # of a normal distribution, 95 % two-sided
 _WORDS = {
     "basin_entropy": f"basin entropy, of boxes of {BOX} x {BOX} start states",
     "boundary_entropy": f"boundary basin entropy, of boxes of {BOX} x {BOX} start states",
@@ -111,7 +111,7 @@ def entropies(labels: Int[np.ndarray, "x y"]) -> tuple[BoundaryMeasures, Boundar
             measures.append(BoundaryMeasures(0.0 if over is known else np.nan, np.nan))
             continue
         each = [entropy[grid][over[grid]].mean() for grid in grids if np.any(over[grid])]
-        measures.append(BoundaryMeasures(float(entropy[over].mean()), _COVER * float(np.std(each, ddof=1))))
+        measures.append(BoundaryMeasures(float(entropy[over].mean()), normal_quantile() * float(np.std(each, ddof=1))))
     return measures[0], measures[1]
 
 
@@ -142,7 +142,8 @@ def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> BoundaryMeasures:
     counting = float(np.sqrt(np.sum(away**2 / differ[use])) / (away @ away))
     inner = -(-len(x) // 2) + 1
     bias = 2.0 * (_fit_line(x[:inner], y[:inner])[0] - slope)
-    return BoundaryMeasures(slope, float(np.hypot(max(student(len(x) - 1) * scatter, _COVER * counting), bias)))
+    chance = max(student(len(x) - 1) * scatter, normal_quantile() * counting)
+    return BoundaryMeasures(slope, float(np.hypot(chance, bias)))
 
 
 def _count_different(labels: Int[np.ndarray, "x y"], distance: int, margin: int) -> tuple[int, int]:

@@ -15,10 +15,10 @@ from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
 from jaxnh.analyses.basins.settling import CONSERVATIVE, TRANSIENT, LaneRecords
 from jaxnh.analyses.batch import Axis
+from jaxnh.analyses.intervals import normal_quantile
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.systems.flow import Flow, Output, status
 
-_QUANTILE = 1.959963984540054  # of a normal distribution, 95 % two-sided
 _MOST_NUMBERS = 1 << 24  # of all points of attractors over the parameters
 _UNDECIDED = ("no", "time", "volume_preserved", "transient")
 _COMPUTED = (
@@ -56,9 +56,10 @@ def shares(
 
 def wilson(hits: Int[np.ndarray, ...], count: Int[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return bounds of a probability at 95 % (Wilson, J. Am. Stat. Assoc. 22 (1927) 209), of hits among `count`."""
-    z2 = _QUANTILE**2
+    z = normal_quantile()
+    z2 = z**2
     middle = (hits + z2 / 2) / (count + z2)
-    half = _QUANTILE / (count + z2) * np.sqrt(hits * (count - hits) / count + z2 / 4)
+    half = z / (count + z2) * np.sqrt(hits * (count - hits) / count + z2 / 4)
     # Of no hit, or nothing else, an end is 0 or 1 but for rounding.
     low, high = np.where(hits > 0, middle - half, 0.0), np.where(hits < count, middle + half, 1.0)
     return np.maximum(low, 0.0), np.minimum(high, 1.0)

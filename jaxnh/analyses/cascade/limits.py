@@ -67,7 +67,7 @@ _WIDTHS = _Kind(lambda r: (-r, r * r), np.array([0.1, 0.2, 0.4]), 0.25, constant
 
 
 class _Posterior(NamedTuple):
-    """Over a grid of ratios, under one model of the corrections: (ratios,) each.
+    """Posterior over a grid of ratios, under one model of the corrections: (ratios,) each.
 
     Attributes:
         density: logarithm, up to a constant that all models have.

@@ -43,7 +43,7 @@ class CurveSet(NamedTuple):
     special: Sequence[CurvePoint]
 
 
-def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, limit: int) -> xr.Dataset:
+def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, max_period: int) -> xr.Dataset:
     """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
     curves, errors, special = followed
     shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
@@ -84,7 +84,7 @@ def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, l
         units = batch.flow.labels.units["t"]
         filled["duration"] = variable(dims, durations, "time that cycles take that keep a condition", units)
     names = " ".join(axis.name for axis in axes)
-    return xr.Dataset(filled, attrs={"limit": limit, "over": names})
+    return xr.Dataset(filled, attrs={"max_period": max_period, "over": names})
 
 
 def _kind(curve: Curve | ConditionCurve) -> int:

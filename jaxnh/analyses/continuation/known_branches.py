@@ -119,7 +119,7 @@ def _on_cubics(
     ways: PathVector,
     value: float,
 ) -> Float[np.ndarray, "more n d"]:
-    """On cubics between points of branches and their next the orbits at a value that they pass there."""
+    """Return the orbits at a value on cubics between points of branches and their next."""
     size = length(family, PathVector(points[1] - points[0], values[1] - values[0]))
     rates, slopes = size * ways.value, size[:, None, None] * ways.points
 

@@ -65,14 +65,14 @@ class _Table(Protocol):
 
 
 def datasets(
-    lanes: LaneRunner, grown: Sequence[FollowedBranches], limit: int, *, derived: bool = False
+    lanes: LaneRunner, grown: Sequence[FollowedBranches], max_period: int, *, derived: bool = False
 ) -> dict[str, xr.Dataset]:
     """Both groups: branches in the order of their periods, bifurcations in that of the parameter.
 
     Args:
         lanes: runs lanes.
         grown: first the orbits, then, where there are any, the equilibria, whose period is 0.
-        limit: of the period.
+        max_period: the largest period of the orbits that are followed.
         derived: whether bifurcations have derivatives in the other parameters.
     """
     batch = grown[0].batch
@@ -83,7 +83,7 @@ def datasets(
     bifurcations = ordered_bifurcations(grown)
     branches = _branches(lanes, grown, [(family, trees[family].branches[k]) for family, k in order])
     attrs = {
-        "limit": limit,
+        "max_period": max_period,
         "along": axis.name,
         "method": "shooting" if grown[0].durations is None else "collocation",
         **({"warnings": words} if (words := _warnings(axis, trees)) else {}),

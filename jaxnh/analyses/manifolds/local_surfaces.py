@@ -37,10 +37,9 @@ class LocalSurface(NamedTuple):
     Attributes:
         centre: the equilibrium, (d,).
         eigenvalues: within the manifold, the slower one first, (2,) complex.
-        plane: basis of its tangent plane by the radius, R V M, (d, 2).
+        plane: basis of its tangent plane by the radius R of the disc, R V M, (d, 2).
         across: basis of the complement, W, (d, d − 2).
         graph, coarse: coefficients of h, and of that of lower degree, (monomials, d − 2).
-        radius: R.
     """
 
     centre: Float[np.ndarray, " d"]
@@ -49,7 +48,6 @@ class LocalSurface(NamedTuple):
     across: Float[np.ndarray, "d d-2"]
     graph: Float[np.ndarray, "monomials d-2"]
     coarse: Float[np.ndarray, "monomials d-2"]
-    radius: float
 
     def points(self, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points d"]:
         """Return the points of the surface at places of the disc."""
@@ -125,7 +123,7 @@ def fit_local_surface(
         graphs = [_graph(field, centre, radius * plane, across, disc, degree) for degree in (_DEGREE, _COARSE)]
         if graphs[0] is None or graphs[1] is None:
             continue
-        surface = LocalSurface(centre, rates, radius * plane, across, graphs[0], graphs[1], radius)
+        surface = LocalSurface(centre, rates, radius * plane, across, graphs[0], graphs[1])
         rate, _ = field(surface.points(ring))
         outward = np.linalg.solve(np.concatenate([surface.plane, across], axis=1), rate.T)[:2]
         if np.abs(surface.errors(ring)).max() < tolerance and np.all(np.sum(outward.T * ring, axis=1) > 0.0):

@@ -100,7 +100,7 @@ def check_random_starts(
         )
     check_sides(box)
     if seeded and not n_starts:
-        raise rule("goes with starts, and there are none", "seed")
+        raise rule(f"goes with {name}, and there are none", "seed")
 
 
 def check_sides(box: Mapping[str, tuple[float, float]], key: str = "box") -> None:

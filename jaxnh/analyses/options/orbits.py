@@ -102,7 +102,7 @@ class BranchesOptions(Continuation, SensitivityOptions):
         check_sides(self.box)
         for name in ("seed", "n_values"):
             if name in self.model_fields_set and not self.box:
-                raise rule("goes with starts, and there are none", name)
+                raise rule("goes with n_starts or equilibria, and there are none", name)
         return self
 
 

@@ -28,9 +28,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-_NORMAL = 1.959963984540054
+from jaxnh.analyses.intervals import normal_quantile
+
 _HIGHEST = 0.975
-_DROP = 0.5 * _NORMAL**2  # of the logarithm of a likelihood at the ends of an interval of 95 %
 _MISSING = np.unique(np.concatenate([np.arange(256), np.geomspace(256, 1e6, 256).round()]))  # that are tried
 
 
@@ -60,7 +60,7 @@ def missing_orbits(rounds: Int[np.ndarray, " orbits"], total: int) -> Missing:
         estimate = share * once * (once - 1.0) / 2.0
         variance = estimate + share**2 * once * (2.0 * once - 1.0) ** 2 / 4.0
         variance -= share**2 * once**4 / (4.0 * (len(met) + estimate)) if estimate else 0.0
-    factor = np.exp(_NORMAL * np.sqrt(np.log1p(variance / estimate**2))) if estimate else 1.0
+    factor = np.exp(normal_quantile() * np.sqrt(np.log1p(variance / estimate**2))) if estimate else 1.0
     low, high = np.floor(estimate / factor), np.ceil((estimate + _rarer(met, total)) * factor)
     missed = (1.0 - met / total) ** total
     high = max(high, _poisson_quantile(float(np.sum(missed / (1.0 - missed)))))
@@ -87,7 +87,8 @@ def _of_one_chance(met: Int[np.ndarray, " orbits"], total: int) -> tuple[float, 
     chance = meetings / (total * all_orbits)
     likelihood = gammaln(all_orbits + 1.0) - gammaln(_MISSING + 1.0) + xlogy(meetings, chance)
     likelihood += xlogy(total * all_orbits - meetings, 1.0 - chance)
-    inside = _MISSING[likelihood >= likelihood.max() - _DROP]
+    drop = 0.5 * normal_quantile() ** 2  # at the ends of an interval of 95 %
+    inside = _MISSING[likelihood >= likelihood.max() - drop]
     return float(inside[0]), float(inside[-1]) if meetings > known else 0.0
 
 

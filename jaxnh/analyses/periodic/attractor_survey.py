@@ -248,7 +248,7 @@ def _survey_at(
 
 
 class _Look(NamedTuple):
-    """What points of lanes tell.
+    """Findings from points of lanes.
 
     Attributes:
         first, last: of the points, (lanes, d).

@@ -197,7 +197,7 @@ def _dataset(
         "numerator": variable(LANE, numerator, "numerator of the fraction that the motion is locked to; 0 without one"),
         "denominator": number_variable(LANE, denominator, "denominator of this fraction", ("none",), comment=searched),
     }
-    attrs = {"angle": advances.description, "max_denominator": options.max_denominator, **section_attrs(batch)}
+    attrs = {"rotating_angle": advances.description, "max_denominator": options.max_denominator, **section_attrs(batch)}
     return xr.Dataset(variables, attrs=attrs)
 
 
@@ -212,7 +212,8 @@ def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
             largest = f"{np.max(error[of_kind]):.1e}" if numbers.size else "–"
             rows.append((word.replace("_", " "), f"{np.count_nonzero(of_kind):,}", extent, largest))
     heads = ("kind", "lanes", "rotation number", "largest error")
-    caption = f"angle: {data.attrs.get('angle', '')}; denominators up to {data.attrs.get('max_denominator', '')}"
+    angle, largest = (data.attrs.get(name, "") for name in ("rotating_angle", "max_denominator"))
+    caption = f"angle: {angle}; denominators up to {largest}"
     return Table("Rotation numbers", heads, tuple(rows), caption, (0,))
 
 

@@ -91,7 +91,7 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         else:
             states = _carry_in_turn(options, batch, lanes)
     t = np.array([options.phase * batch.flow.period])
-    attrs = {"start": options.start, "phase": options.phase, **section_attrs(batch)}
+    attrs = {"start_states": options.start, "strobe_phase": options.phase, **section_attrs(batch)}
     variables = state_variables(batch.system, states, t, dims)
     variables |= output_variables(options.outputs or (), lanes, batch.system, states, batch.p, t, dims)
     return xr.Dataset(statistics(variables, "strobe") if options.statistics else variables, attrs=attrs)

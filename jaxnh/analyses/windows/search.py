@@ -76,7 +76,7 @@ class Window(NamedTuple):
 
 def search(
     line: PeriodScan,
-    limit: int,
+    max_period: int,
     orbits: Callable[[Int[np.ndarray, " some"]], Sequence[SeedOrbit]],
     families: Callable[[float, float], Sequence[Family]],
     stage: Stage = nullcontext,
@@ -85,7 +85,7 @@ def search(
 
     Args:
         line: what lanes have settled on, at rising values.
-        limit: largest period of a window.
+        max_period: largest period of a window.
         orbits: all points of the orbits of lanes, by their numbers, in the order in which they are looked at.
         families: the map on a range of the parameter, and the same with 2 and 4 times the steps.
         stage: shows what is done inside, by its label.
@@ -94,7 +94,7 @@ def search(
     whole, groups = families(*ends)[0], list[list[Window]]()
     for first, last in period_runs(line.period):
         left = np.arange(first, last + 1)
-        if _odd(line.period[left]).max() > limit:
+        if _odd(line.period[left]).max() > max_period:
             continue
         while len(left):  # lanes of another attractor may lie among those of a window
             least = line.period[left] == line.period[left].min()
@@ -102,7 +102,7 @@ def search(
             for window in new:
                 _add(whole, groups, window)
             left = np.setdiff1d(left[~least], [k for window in new for k in window.lanes])
-    return [group for group in groups if group[0].period <= limit and len(all_lanes(group)) > 1]
+    return [group for group in groups if group[0].period <= max_period and len(all_lanes(group)) > 1]
 
 
 def _follow_windows(

@@ -44,7 +44,7 @@ NOWHERE = LocatedValue(np.nan, np.nan)
 
 
 def dataset(
-    limit: int,
+    max_period: int,
     levels: int,
     batch: LaneBatch,
     line: PeriodScan,
@@ -88,8 +88,8 @@ def dataset(
     }
     warnings = _missing_doublings(axis.name, levels, groups, doublings)
     if not groups:
-        warnings = [f"windows: {_describe_search(limit, axis.name, line.value)}: none was found"]
-    attrs = {"along": axis.name, "largest_period": limit, **({"warnings": "\n".join(warnings)} if warnings else {})}
+        warnings = [f"windows: {_describe_search(max_period, axis.name, line.value)}: none was found"]
+    attrs = {"along": axis.name, "max_period": max_period, **({"warnings": "\n".join(warnings)} if warnings else {})}
     return xr.Dataset(variables, attrs=attrs)
 
 
@@ -133,10 +133,10 @@ def _missing_doublings(
     ]
 
 
-def _describe_search(limit: int, name: str, values: Float[np.ndarray, " lanes"]) -> str:
+def _describe_search(max_period: int, name: str, values: Float[np.ndarray, " lanes"]) -> str:
     """Describe the search in words."""
     lane, where = f"one lane of {np.diff(values).max():.3g}", f"{name} = {values[0]:.6g} to {values[-1]:.6g}"
-    return f"windows of periods up to {limit} wider than {lane} in {where}"
+    return f"windows of periods up to {max_period} wider than {lane} in {where}"
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:
@@ -151,7 +151,7 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
     derived = (head for name in ("begin", "end") for head in sensitivity_heads(data, name))
     heads = ("period", "from", "", "to", "", "limit", "crisis", *derived)
     lane = f"one lane of {float(data['spacing']):.3g}"
-    words = f"windows of periods up to {data.attrs['largest_period']} wider than {lane}"
+    words = f"windows of periods up to {data.attrs['max_period']} wider than {lane}"
     words += "; (2): ± 2 in the last digit; ×2: twins"
     return Table(f"Windows over {data.attrs['along']}", heads, tuple(rows), words, left=(2, 4), ruled=False)
 

@@ -38,11 +38,10 @@ from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.continuation.paths import StepControl
 
-_DOUBLED = 4  # times the limit: lanes of orbits up to this period are seen, as those of doublings are
+_DOUBLED = 4  # times max_period: lanes of orbits up to this period are seen, as those of doublings are
 _REACH = 3.0  # distances from the first doubling to where they end that a crisis is looked for beyond; it is near one
 _OFF = 1e-7  # sizes: paths start so far from an orbit that repels
 _AWAY = 32  # turns of a path until it is all over the bands, from there
-_AT_ONCE = 256  # strobes of a call
 _STEPS = StepControl(0.04)  # of the branch of that orbit
 _WORK = 3.0  # of a run, in those of settling: a guess
 

@@ -298,8 +298,8 @@ class Calibration:
         relative = ", relative to the size of the motion," if self.sizes else ""
         hint = "".join(f"; {words}" for words in (why, cause, rounding) if words)
         return (
-            f"no solver has an error of {what} of {target:g} over this sweep; with up to {self._maps.tried:,} kicks, "
-            f"that{relative} at {sample.place(0)} comes down to {error:.2g}{hint}",
+            f"no solver has an error of {what} of {target:g} over this sweep; with up to {self._maps.tried:,} "
+            f"evaluations of the field, that{relative} at {sample.place(0)} comes down to {error:.2g}{hint}",
             bool(rounding),
         )
 

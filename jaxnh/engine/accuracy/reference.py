@@ -30,7 +30,7 @@ _HOPELESS_BY = 10.0  # times the target: about what the most steps would leave, 
 _TABLES = 4  # that the rounding of plain sums is measured on
 
 NO_MATTER = 0.01
-"""Of an error: rounding in a table that decides nothing, nor does that in others."""
+"""Share of an error below which rounding in a table decides nothing; nor does that in others."""
 
 
 class Reference(NamedTuple):
@@ -96,7 +96,8 @@ def refine_reference(
         least = np.minimum(least, gaps)
         for leaf, new in zip(finest, finer, strict=True):
             leaf[active] = new
-        maps.tell(f"with {steps * solver.stages:,} kicks a period, references differ by {gaps[largest_at(gaps)]:.1e}")
+        most = gaps[largest_at(gaps)]
+        maps.tell(f"with {steps * solver.stages:,} evaluations of the field a period, references differ by {most:.1e}")
     return Reference(finest, gaps, steps * solver.stages, unresolved)
 
 

@@ -213,7 +213,7 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
     image = maps.image(maps.of(solver, steps), samples)
     lost, stays, without_return = np.ones(len(samples.row), bool), -1, 0
     while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
-        maps.tell(f"the start states with {2 * steps * solver.stages:,} kicks a period")
+        maps.tell(f"the start states with {2 * steps * solver.stages:,} evaluations of the field a period")
         later = maps.by_flow(iterate, lambda row, n=2 * steps: (maps.of(solver, n)(row), np.int32(1)), samples, 1)
         without_return = without_return + 1 if maps.sectioned and np.all(later.reason == NO_RETURN) else 0
         if without_return == _NO_LANE_RETURNS:

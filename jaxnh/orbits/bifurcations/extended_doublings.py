@@ -41,7 +41,7 @@ class Slopes(Protocol):
     """P, ∂P/∂u and ∂P/∂p of lanes in float64."""
 
     def __call__(self, u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"], /) -> Derivatives:
-        """At points and values of the parameter, a lane each."""
+        """Evaluate at points and values of the parameter, a lane each."""
         ...
 
 
@@ -49,7 +49,7 @@ class ExtendedPeriod(Protocol):
     """P and ∂P/∂u w of lanes in double-double precision: `maps.extended_precision.push_point`."""
 
     def __call__(self, u: Sum, w: Sum, value: tuple[float, float], /) -> tuple[Sum, Sum]:
-        """At points (lanes, d) and vectors (lanes, d), at one value of the parameter."""
+        """Evaluate at points (lanes, d) and vectors (lanes, d), at one value of the parameter."""
         ...
 
 

@@ -224,7 +224,7 @@ class GrazingEquations(EquationsOfPaths):
         return Evaluation(residual / self._rows, blocks, slopes * self._size / self._rows[:, None])
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
-        """By singular values."""
+        """Solve by singular values."""
         least, null, other, square = cyclic.underdetermined_square(at.slopes, -at.residual)
         return LinearSolution(least, null, other, np.linalg.det(square))
 

@@ -61,7 +61,7 @@ def cubic(family: Family, orbits: CurveOrbits, kind: Int[np.ndarray, " some"]) -
             z = 1.0 + 1j * np.imag(z) if family.field else z / np.abs(z)
         known = np.isfinite(z)
         subset, at_points, z = subset[known], at_points.take(known), z[known]
-        q = _normal(family, at_points, _null(at_points.blocks, z, real))
+        q = _normal(family, _null(at_points.blocks, z, real))
         parts = (np.real(q),) if real else (np.real(q), np.imag(q))
         moved = _moved_blocks(family, at_points, parts)
         first, two = (
@@ -75,7 +75,7 @@ def cubic(family: Family, orbits: CurveOrbits, kind: Int[np.ndarray, " some"]) -
     return result
 
 
-def _normal(family: Family, orbits: CurveOrbits, q: Complex[np.ndarray, "some n d"]) -> Complex[np.ndarray, "some n d"]:
+def _normal(family: Family, q: Complex[np.ndarray, "some n d"]) -> Complex[np.ndarray, "some n d"]:
     """Vectors of length one."""
     none = np.zeros(len(q))
     parts = (length(family, PathVector(part * family.size, none)) for part in (np.real(q), np.imag(q)))

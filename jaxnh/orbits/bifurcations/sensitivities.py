@@ -33,7 +33,7 @@ class ShiftedMap(Protocol):
     """P and ∂P/∂u at points of orbits side by side, each at its own values of the parameters but for one of them."""
 
     def __call__(self, name: str, shift: float, u: Float[np.ndarray, "points d"], /) -> Derivatives:
-        """At points near those of the orbits, in their order, the named parameter shifted for all."""
+        """Evaluate at points near those of the orbits, in their order, the named parameter shifted for all."""
         ...
 
 

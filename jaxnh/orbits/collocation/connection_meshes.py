@@ -24,7 +24,7 @@ from jaxnh.orbits.collocation.newton import correct, remeshed
 from jaxnh.orbits.collocation.paths import DEGREE, halved, on_mesh
 
 MOST_INTERVALS = 480
-"""Of a mesh."""
+"""Most intervals of a mesh."""
 
 _NEAR = 1e-5  # sizes: distance of the ends from their saddles, whose square is what projections leave
 _RESOLVED = 1e-8  # widths: error of parameters, beyond which a mesh is made finer

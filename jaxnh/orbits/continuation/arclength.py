@@ -29,7 +29,7 @@ class PeriodAndParameter(Protocol):
     """P, ∂P/∂u and ∂P/∂λ of lanes: `derivatives` of one period with a parameter named."""
 
     def __call__(self, u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"], /) -> Derivatives:
-        """At points and values of the parameter, a lane each."""
+        """Evaluate at points and values of the parameter, a lane each."""
         ...
 
 
@@ -200,7 +200,7 @@ class CycleEquations:
         return Evaluation(missing.reshape(lanes, n * d), blocks, columns)
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
-        """By elimination around the orbit; no product is formed."""
+        """Solve by elimination around the orbit; no product is formed."""
         there = np.broadcast_to(-np.eye(at.blocks.shape[-1]), at.blocks.shape)
         cycle = cyclic.eliminate(at.blocks, there)
         solved = cyclic.underdetermined(cycle, at.residual.reshape(at.slopes.shape), at.slopes)

@@ -37,7 +37,7 @@ class PeriodAndParameters(Protocol):
     """P, ∂P/∂u and ∂P/∂(both parameters) of lanes."""
 
     def __call__(self, u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, "lanes 2"], /) -> Derivatives:
-        """At points and values of the parameters, a lane each; `by_parameter` is (lanes, d, 2)."""
+        """Evaluate at points and values of the parameters, a lane each; `by_parameter` is (lanes, d, 2)."""
         ...
 
 
@@ -203,7 +203,7 @@ class BifurcationEquations:
         return Evaluation(missing, blocks, slopes)
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
-        """By singular values."""
+        """Solve by singular values."""
         least, null, other, square = cyclic.underdetermined_square(at.slopes, -at.residual)
         return LinearSolution(least, null, other, np.linalg.det(square))
 

@@ -41,7 +41,7 @@ class VectorRates(Protocol):
         vectors: Float[np.ndarray, "lanes m d"],
         /,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """At points and values of the parameters, a lane each."""
+        """Evaluate at points and values of the parameters, a lane each."""
         ...
 
 
@@ -55,7 +55,7 @@ class MixedDerivatives(Protocol):
         ways: Float[np.ndarray, "lanes k d+2"],
         /,
     ) -> Float[np.ndarray, "lanes d"]:
-        """At points and values of the parameters, a lane each."""
+        """Evaluate at points and values of the parameters, a lane each."""
         ...
 
 
@@ -169,7 +169,7 @@ class EigenvectorEquations:
         return Evaluation(missing, slopes[:, :, :d], rows)
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
-        """By singular values."""
+        """Solve by singular values."""
         least, null, other, square = cyclic.underdetermined_square(at.slopes, -at.residual)
         return LinearSolution(least, null, other, np.linalg.det(square))
 

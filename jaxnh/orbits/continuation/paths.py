@@ -36,7 +36,7 @@ that its extremum has, or meets another surface; it touches a wall or a surface,
 _BENT = 0.97  # cosine of the angle between directions at the ends of a step, at least
 _MISSED = 0.15  # of a step that Newton goes back, at most
 NEAR = 0.3
-"""Of a step: steps of Newton below this need not contract."""
+"""Share of a step: steps of Newton below it need not contract."""
 
 _WANTED = 0.04  # what steps are chosen for
 _GROWTH = 1.5  # of a step that went well

@@ -40,7 +40,7 @@ class Pendulum(JaxODESystem):
 
 
 class Spread(FeatureExtractor):
-    """Whether the rate still varies over the last fifty units of time, one-hot."""
+    """A feature: whether the rate still varies over the last fifty units of time, one-hot."""
 
     @property
     def feature_names(self):

@@ -10,7 +10,7 @@ from sweeps.peers.particle.peers_heyoka_tangent import TangentContestant
 
 
 class Contestant(TangentContestant):
-    """As many tangents as the flow has components."""
+    """A contestant with as many tangents as the flow has components."""
 
     scene: FlowScene
     periods = 32

@@ -78,7 +78,7 @@ def placed(case: FlowCase) -> Placed:
 
 
 def _definition(case: FlowCase) -> Callable[..., Mapping[str, Any]]:
-    """What a user's file would return for a right-hand side."""
+    """Return what a user's file would return for a right-hand side."""
     force = {"sin": jnp.sin, "cos": jnp.cos}.get(case.forcing)
     names = tuple(f"y{i}" for i in range(len(case.start)))
 
@@ -139,7 +139,7 @@ class Contestant(FlowMaps):
         return self.scene.errors(self.placed.flow.chart.host_points(state)[:, self.placed.picks])
 
     def program(self, setting: Setting, count: int | None = None, periods: int = _PERIODS) -> Callable[[], int]:
-        """As for every contestant; with a number of lanes (default: 256 a device) and of periods."""
+        """Return the program, as every contestant; with a number of lanes (default: 256 a device) and of periods."""
         lanes = self.scene.timed(count or len(self.scene.values) * len(self.lanes.devices))
         strobe, start = self.strobe(setting.form, setting.knob), self.started(lanes)
 

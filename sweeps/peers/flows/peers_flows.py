@@ -1,4 +1,4 @@
-"""How fast jaxnh is on flows that users write, beside heyoka's batch integrator and stock diffrax, on one core.
+"""Speed of jaxnh on flows that users write, beside heyoka's batch integrator and stock diffrax, on one core.
 
     python -m sweeps.peers.flows.peers_flows [--repeats R] [--targets 1e-6 1e-8 1e-10] [--only NAME ...] [--part
     maps|spectra]

@@ -1,4 +1,4 @@
-"""How fast jaxnh is beside other integrators: side by side in one run, on named cores, at equal measured error.
+"""Speed of jaxnh beside other integrators: side by side in one run, on named cores, at equal measured error.
 
     python -m sweeps.peers.particle.peers [--cores 1|2] [--repeats R] [--targets 1e-6 1e-8 1e-10] [--system
     constant_speed] [--held-out 5] [--only lyapunov]

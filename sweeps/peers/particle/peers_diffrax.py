@@ -67,7 +67,7 @@ class StockContestant:
         raise NotImplementedError
 
     def compared(self, form: str, ends: np.ndarray) -> np.ndarray:
-        """What is compared of states (lanes, variables): as the scene's `ends`."""
+        """Return what is compared of states (lanes, variables): as the scene's `ends`."""
         raise NotImplementedError
 
     def tune(
@@ -77,7 +77,7 @@ class StockContestant:
         only: bool = False,
         wanted: Callable[[tuple[str, str, str]], bool] = lambda key: True,
     ) -> list[Setting]:
-        """As for every contestant; of `wanted` names of a solver, a controller and a form alone."""
+        """Tune as every contestant does; of `wanted` names of a solver, a controller and a form alone."""
         settings = []
         efforts = {hint.key: hint.knob for hint in hints}
         for solver, controller in itertools.product(_SOLVERS, _CONTROLLERS):
@@ -111,7 +111,7 @@ class StockContestant:
         return settings
 
     def program(self, setting: Setting, count: int | None = None) -> Callable[[], int]:
-        """As for every contestant; with a number of lanes."""
+        """Return the program, as for every contestant; with a number of lanes."""
         lanes = self.scene.timed(count)
 
         def run() -> int:

@@ -56,7 +56,7 @@ def equations(a: float, c: float, d: float, form: str, clock: str) -> list[tuple
 
 
 def tried_options(options: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Those of some options that say something here: `force_avx512` only where the processor has such registers."""
+    """Return the options that say something here: `force_avx512` only where the processor has such registers."""
     return [row for row in options if "force_avx512" not in row or hy.recommended_simd_size() >= WIDE]
 
 
@@ -176,7 +176,7 @@ class BatchContestant:
         raise NotImplementedError
 
     def compared(self, form: tuple[str, ...], ends: np.ndarray) -> np.ndarray:
-        """What is compared of states (lanes, variables): as the scene's `ends`."""
+        """Return what is compared of states (lanes, variables): as the scene's `ends`."""
         raise NotImplementedError
 
     def tune(self, target: float, hints: Sequence[Setting] = (), only: bool = False) -> list[Setting]:
@@ -206,7 +206,7 @@ class BatchContestant:
         return [s for s in settings if s.errors.max <= target]
 
     def program(self, setting: Setting, idle: bool = False) -> Callable[[], float]:
-        """As for every contestant; idle with the same calls and no time to integrate over."""
+        """Return the program, as for every contestant; idle with the same calls and no time to integrate over."""
         lanes = self.scene.timed()
 
         def run() -> float:

@@ -41,8 +41,7 @@ _FORMS: tuple[tuple[int, tuple[str, ...]], ...] = (
 )
 """Batch sizes, in recommended SIMD sizes, and options of the compiler; large ones outside compact mode take minutes."""
 _EQUAL_TIMES, _WHOLE_STEPS = "at equal times", "after whole steps"
-"""When tangents are orthonormalised: then a step is cut short; or every so many steps, and none is."""
-_OFTEN = ", {:.3g} orthonormalisations a period {}"
+"""Times of orthonormalisation: a step is cut short there; or every so many steps, and none is."""
 
 
 def tangent_equations(motion: Sequence[tuple[Any, Any]], d: int) -> list[tuple[Any, Any]]:
@@ -163,7 +162,7 @@ class TangentContestant:
         return settings
 
     def program(self, setting: Setting, idle: bool = False) -> Callable[[], float]:
-        """As for every contestant; idle with the same calls and no time to integrate over."""
+        """Return the program, as for every contestant; idle with the same calls and no time to integrate over."""
         *key, every = setting.key
         fleet = self.fleet((*key, int(setting.knob)))
 

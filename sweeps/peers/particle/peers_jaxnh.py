@@ -73,7 +73,7 @@ class Contestant(Splittings[Scene]):
     def program(
         self, setting: Setting, count: int | None = None, periods: int = PERIODS, one_device: bool = False
     ) -> Callable[[], int]:
-        """As for every contestant; with a number of lanes (default: 256 a device), periods, and on one device only."""
+        """Return the program, as every contestant; with a number of lanes (default: 256 a device), or on one device."""
         pool = self._one_device if one_device else self.lanes
         lanes = self.scene.timed(count or len(self.scene.values) * len(pool.devices))
         strobe = make_return_map(self.system, SPLITTINGS[setting.form], int(setting.knob))

@@ -185,7 +185,7 @@ def _section(grid: Grid, study: Study) -> str:
 
 
 def _said_before(grid: Grid, study: Study) -> list[str]:
-    """What a table needs to be understood."""
+    """Return what a table needs to be understood."""
     if grid.title == _HELD_OUT:
         return [
             "`processed6` was searched for, and chosen, on the values of b of the main scene, at d = 0 and d = 0.1. "

@@ -1,4 +1,4 @@
-"""What all contestants of `sweeps.peers.particle.peers` and `sweeps.peers.flows.peers_flows` share: lanes and true
+"""Scene of all contestants of `sweeps.peers.particle.peers` and `sweeps.peers.flows.peers_flows`: lanes and true
 results, errors, settings.
 
 The search for a setting is here as well; no integrator is.
@@ -225,7 +225,7 @@ def least_effort(
 
 
 def _fraction(above: float, below: float, target: float) -> float:
-    """Where between a too large error and one that meets the target to look next, in the logarithm of the effort."""
+    """Return where, in the logarithm of the effort, to look between a too large error and one that meets the target."""
     if not math.isfinite(above) or below <= 0.0 or below >= above:
         return 0.5
     aimed = math.log(above / (0.96 * target)) / math.log(above / below)

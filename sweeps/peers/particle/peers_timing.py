@@ -67,7 +67,7 @@ def timed(entries: Sequence[Entry], repeats: int, console: Console, seconds: flo
 
 
 def row(e: Entry, cores: int) -> Row:
-    """What the report needs of a row. Ratios are jaxnh's rate over the peer's, of samples next to each other."""
+    """Return what the report needs of a row. Ratios are jaxnh's rate over the peer's, of samples next to each other."""
     over_under = [(own, other) if e.jaxnh_over else (other, own) for own, other in e.pairs]
     return Row(
         target=e.target,
