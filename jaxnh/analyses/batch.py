@@ -61,6 +61,7 @@ class LaneBatch:
         error_estimate: error of one period's map that about one in 10,000 of the periods of a sweep's lanes exceeds.
         sizes: of the motion, that this error is relative to, by coordinate in the order of the components that errors
             are compared in; none where it is absolute.
+        given_sizes: those among them that the config gives.
         place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
         axis: the first axis, where the lanes are those along it, at one point of all others.
         family: where lanes differ in parameters that a program shares, the system at each value of these.
@@ -83,6 +84,7 @@ class LaneBatch:
     precision: str = "float64"
     target: float = 0.0
     sizes: Mapping[str, float] = field(default_factory=dict[str, float])
+    given_sizes: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def count(self) -> int:

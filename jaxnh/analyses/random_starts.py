@@ -53,13 +53,21 @@ def random_start_batch(
     bits = np.random.PCG64(seed)
     bits.advance(first * width)  # a draw of 64 bits a number
     count = int(places.max()) - first + 1
-    draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first].reshape(-1, len(box))
-    drawn = {name: low + (high - low) * draws[:, k] for k, (name, (low, high)) in enumerate(box.items())}
+    draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first]
+    drawn = {name: low + (high - low) * draws[..., k].ravel() for k, (name, (low, high)) in enumerate(box.items())}
     coordinates = batch.flow.outputs(jax.tree.map(lambda x: x[:, None], batch.without_section().start), np.zeros(1))
     others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in coordinates.items()}
     p = {name: np.repeat(values, starts) for name, values in batch.p.items()}
     state = begin(batch.system, batch.flow.start(others | drawn))
     return replace(batch, start=state, p=p, place=np.repeat(places, starts), axis=None), drawn
+
+
+def box_corners(batch: LaneBatch, box: Box) -> tuple[LaneBatch, LaneBatch]:
+    """Return the batch at the lowest and at the highest values of a box of starts."""
+    low, high = (
+        random_start_batch(batch, 1, 0, {name: (side[k], side[k]) for name, side in box.items()})[0] for k in (0, 1)
+    )
+    return low, high
 
 
 def draw_starts(options: Any) -> Starts | None:

@@ -60,6 +60,15 @@ def points_after(
     return points_and_end(batch, lanes, states_at(batch, lanes, u, tile), wait, count, tile)[0]
 
 
+def points_from(
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], count: int
+) -> Float[np.ndarray, "lanes count d"]:
+    """Return points of lanes and the next ones, so many together."""
+    if count == 1:
+        return u[:, None]
+    return np.concatenate([u[:, None], points_after(batch, lanes, u, 0, count - 1)], axis=1)
+
+
 def points_and_end(
     batch: LaneBatch, lanes: LaneRunner, state: State, wait: int, count: int, tile: int | None = None
 ) -> tuple[Float[np.ndarray, "lanes count d"], State]:

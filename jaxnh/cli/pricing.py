@@ -147,7 +147,7 @@ def _bench(experiment: Experiment, began: float) -> PricedExperiment:
     count = len(along.values) if along else 1
     places = [np.arange(count) if axis is along else np.zeros(count, int) for axis in axes]
     along = along if along and along.kind == "lane" else None
-    batch = batch_of(points(experiment, axes, places), plan, experiment.precision, axis=along)
+    batch = batch_of(points(experiment, axes, places), plan, experiment, axis=along)
     return PricedExperiment(experiment, batch, plan, calibration, lanes, began)
 
 

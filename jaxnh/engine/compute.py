@@ -65,14 +65,15 @@ def seconds_spent(lanes: LaneExecutor, seconds: float) -> SecondsSpent:
 def batch_of(
     at: SweepPoints,
     plan: Plan,
-    precision: str,
+    experiment: Experiment,
     chosen: Mapping[str, Mapping[str, int]] | None = None,
     place: np.ndarray | None = None,
     axis: Axis | None = None,
 ) -> LaneBatch:
     """Lanes with the solver and steps that were decided on."""
-    more = {"place": place, "axis": axis, "family": at.family, "chosen": chosen or {}, "precision": precision}
-    return LaneBatch(at.system, at.start, at.p, *plan[:4], sizes=plan.sizes, **more)
+    more = {"place": place, "axis": axis, "family": at.family, "chosen": chosen or {}, "sizes": plan.sizes}
+    given = experiment.accuracy.sizes
+    return LaneBatch(at.system, at.start, at.p, *plan[:4], precision=experiment.precision, given_sizes=given, **more)
 
 
 def solver_plan(plan: NumericalPlan) -> Plan:
@@ -191,7 +192,7 @@ def _groups(
     place = places[0] * job.cutting.step
     plan = solver_plan(job.plan)
     plan = plan._replace(steps=steps_of(plan.steps, halvings))
-    lane_batch = batch_of(at, plan, experiment.precision, job.plan.chosen, place, axes[0] if line else None)
+    lane_batch = batch_of(at, plan, experiment, job.plan.chosen, place, axes[0] if line else None)
     options = {analysis.name: options for analysis, options in requested}
     groups: dict[str, xr.Dataset] = {}
     for name in names:
@@ -246,7 +247,7 @@ def _combine_tiles(
         places = np.unravel_index(members, shape)
         at_row = points(experiment, axes, places)
         place = places[0] * job.cutting.step
-        rows.append((members, batch_of(at_row, solver_plan(job.plan), experiment.precision, job.plan.chosen, place)))
+        rows.append((members, batch_of(at_row, solver_plan(job.plan), experiment, job.plan.chosen, place)))
     data = gather(analysis.name)
     groups = analysis.whole.run(options, SweepLanes(tuple(axes), tuple(rows)), lanes, data)
     if job.cutting.level:

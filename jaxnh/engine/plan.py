@@ -227,7 +227,7 @@ def choose(
     accuracy, precision = experiment.accuracy, experiment.precision
     target = accuracy.target if precision == "float64" and not accuracy.steps else 0.0
     for places in sample_places(axes, most) if choosing else ():
-        lane_batch = replace(batch_of(points(experiment, axes, places), plan, precision), target=target)
+        lane_batch = replace(batch_of(points(experiment, axes, places), plan, experiment), target=target)
         for analysis, options in choosing:
             assert analysis.choose is not None
             before = choices.setdefault(analysis.name, {})
@@ -328,7 +328,7 @@ def check_size(
     count = experiment.sweep.lanes
     work = work_of(requested, count) * count
     first = points(experiment, axes, tuple(np.zeros(1, int) for _ in axes))
-    looped = batch_of(first, plan._replace(solver=in_loop(plan.solver)), experiment.precision)  # as calibrations are
+    looped = batch_of(first, plan._replace(solver=in_loop(plan.solver)), experiment)  # as calibrations are
     iterations = inner_trip_count((looped.strobe(),))
     if looped.solver != plan.solver:
         iterations /= cost_model.LOOP_OVER_WRITTEN_OUT

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import cycles_at_hopf_points, equilibria
 from jaxnh.analyses.continuation.families import orbit_family
-from jaxnh.analyses.continuation.family_tree import grow
+from jaxnh.analyses.continuation.family_tree import SeedOrbit, grow
 from jaxnh.maps.section import Section, begin
 from jaxnh.orbits.continuation.kinds import KINDS
-from jaxnh.orbits.continuation.paths import StepControl
+from jaxnh.orbits.continuation.paths import COLLAPSED, RANGE, StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
 from tests.helpers.batches import batch_of
@@ -64,18 +65,25 @@ def langford(a=0.0):
     return {"rhs": rhs, "coordinates": ("x", "y", "z")}
 
 
-def seeds_of(define, name, ends, section, box, lanes, steps=24):
-    """The batch, the family of cycles on a section, Hopf points of equilibria, and the first cycles there."""
+def batch_on(define, name, ends, section, steps=24):
+    """Lanes on their way to a section."""
     plain = first_order(define, {name: ends[0]})
-    coordinate, number, value = section
-    flow = Section(plain, coordinate, number, value, "up")
+    flow = Section(plain, *section, "up")
     start = begin(flow, plain.start(dict.fromkeys(plain.coordinates, 0.3)))
-    batch = batch_of(flow, start, np.linspace(*ends, 3), verner9, steps, name=name)
-    control, stage = StepControl(), lambda label: contextlib.nullcontext()
-    still = equilibria(batch, lanes, 4, 1, box, ends, control, stage)
-    family = orbit_family(batch, lanes, batch.strobe(), np.ones(len(plain.coordinates) - 1), ends)
+    return batch_of(flow, start, np.linspace(*ends, 3), verner9, steps, name=name)
+
+
+def no_stage(label):
+    return contextlib.nullcontext()
+
+
+def seeds_of(define, name, ends, section, box, lanes, steps=24):
+    """The family of cycles on a section, Hopf points of equilibria, and the first cycles there."""
+    batch = batch_on(define, name, ends, section, steps)
+    still = equilibria(batch, lanes, 4, 1, box, ends, StepControl(), no_stage)
+    family = orbit_family(batch, lanes, batch.strobe(), np.ones(batch.chart.dimension), ends)
     hopf = [point for point in still.tree.bifurcations if KINDS[point.kind] == "hopf"]
-    return family, hopf, cycles_at_hopf_points(still, family, flow)
+    return family, hopf, cycles_at_hopf_points(still, family, batch.system)
 
 
 BOX = {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
@@ -90,6 +98,18 @@ def test_cycles_of_the_normal_form(lanes, cubic):
     # The map's error in 24 steps of order nine a unit of time is below 1e-12, and the radius goes like a root.
     assert abs(abs(cycle.points[0, 0]) - np.sqrt(-cycle.value / cubic)) < 1e-10
     assert cycle.points[0, 0] > 0.0  # y goes up where y' = 2x is positive
+
+
+def test_cycles_that_grow_ten_thousand_times(lanes):
+    """Of radius √μ up to μ = 100, followed from one of 10⁻³ in sizes of motions of as much: a thousand of these were all bounds."""
+    ends, section = (-1.0, 100.0), ("y", 1, 0.0)
+    seed = SeedOrbit(np.array([[1e-3]]), 1e-6)
+    batch = batch_on(swirl(-1.0), "mu", ends, section)
+    [followed] = grow_cycles(batch, lanes, [[seed]], np.array([1e-3]), 1, ends, StepControl(), no_stage)
+    assert {*followed.branch.ends} == {COLLAPSED, RANGE}
+    [last] = [point for point in followed.branch.points if point.value == 100.0]
+    radius = np.linalg.norm(last.solution.path.ends[0], axis=1)
+    assert np.abs(radius - 10.0).max() < 1e-6  # meshes are for errors of 1e-7
 
 
 @pytest.mark.slow

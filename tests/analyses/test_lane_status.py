@@ -20,7 +20,7 @@ def hopf(mu=1.0, cubic=-1.0):
 
 @pytest.fixture
 def session():
-    return jaxnh.Session(hopf, start={"x": 0.6, "z": 0.0}, target=1e-4).on("x", 0.5, "up", longest=20.0)
+    return jaxnh.Session(hopf, start={"x": 0.6, "z": 0.0}, target=1e-4).on("x", 0.5, "up", longest_return=20.0)
 
 
 @pytest.mark.parametrize(

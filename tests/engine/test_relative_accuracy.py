@@ -23,7 +23,7 @@ from jaxnh.engine.accuracy.sizes import coordinate_names
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.section import Section
+from jaxnh.maps.section import Section, begin
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed
@@ -336,6 +336,24 @@ def test_lanes_that_grow_without_bound(lanes):
         end = strobe(flow.start({"y": 1.0}), {"rate": rate}).y[0]
         assert abs(float(end) - math.exp(rate)) <= plan.error_estimate * calibration.sizes["y"]
     assert calibration.sizes["y"] < 1e4
+
+
+def test_lanes_that_all_come_to_rest_on_a_section(lanes):
+    """z′ = (−rate + i) z on v = 0: at crossings v is rounding alone, and no size that errors could be relative to."""
+
+    def spiral(rate=1.0):
+        return {"rhs": lambda y, t: (-rate * y[0] - y[1], y[0] - rate * y[1]), "coordinates": ("x", "v")}
+
+    section = Section(first_order(spiral, {"rate": 1.0}, ("rate",)), "v", 1, 0.0, "up")
+    start = begin(section, section.flow.start({"x": 0.1, "v": 0.0}))
+    rates = [0.03, 0.1, 0.2]
+    plan = calibrated(section, start, rates, lanes, name="rate").cheapest(TARGET)
+    assert 1e-5 < plan.sizes["v"] < 1e-3  # a thousandth of the first turn, as of x
+    strobe = make_return_map(section, plan.solver, plan.steps)
+    for rate in rates:
+        end = strobe(jax.tree.map(jnp.asarray, start), {"rate": rate})
+        assert abs(float(end.state.y[0]) - 0.1 * math.exp(-2 * math.pi * rate)) < TARGET * plan.sizes["x"]
+        assert abs(float(end.t) - 2 * math.pi) < TARGET * plan.sizes["t"]
 
 
 def test_a_lane_that_chatters_is_not_stiff(lanes):

@@ -25,6 +25,7 @@ from jaxnh.analyses.continuation.equilibria import check_equilibria, cycles_at_h
 from jaxnh.analyses.continuation.families import orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
 from jaxnh.analyses.continuation.grazing import may_graze, with_grazing
+from jaxnh.analyses.continuation.motion_units import motion_unit, search_unit, sizes_in_motion
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.options.orbits import BranchesOptions
@@ -48,7 +49,7 @@ class SettledOrbits(NamedTuple):
     Attributes:
         period: of the orbit, 0 where there is none, (lanes,).
         u: a point of it, (lanes, d).
-        size: of the motion, NaN of lanes that have failed, (lanes, d).
+        size: of the motion, NaN of lanes that have failed or come to rest, (lanes, d).
     """
 
     period: Int[np.ndarray, " lanes"]
@@ -112,7 +113,7 @@ def settle(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> Set
     """Motions that lanes settle on from their start."""
     attractors = survey_from_start(batch, lanes, options.max_period, "branches", options.transient)
     period = periods_in_motion(batch, lanes, attractors)
-    return SettledOrbits(period, attractors.u, np.where(attractors.failed[:, None], np.nan, attractors.size))
+    return SettledOrbits(period, attractors.u, sizes_in_motion(attractors, period))
 
 
 def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
@@ -131,7 +132,7 @@ def grow_branches(
     """All branches over the first axis: first those of orbits, then, where they are asked for, those of equilibria."""
     axis, (period, u, size) = batch.first_axis, settled
     known = np.isfinite(size).all(axis=1)
-    unit = np.median(size[known], axis=0) if known.any() else np.ones(u.shape[1])
+    unit = motion_unit([batch], lanes, period, size, options.box)
     ends = float(axis.values.min()), float(axis.values.max())
     waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
     sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
@@ -146,7 +147,7 @@ def grow_branches(
                     options.seed,
                     options.box,
                     options.max_period,
-                    unit,
+                    search_unit(sample, lanes, unit, options.box),
                     options.transient,
                 )
             )

@@ -36,6 +36,7 @@ from jaxnh.analyses.continuation.families import (
 )
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
 from jaxnh.analyses.continuation.grazing_curves import grazing_curves
+from jaxnh.analyses.continuation.motion_units import motion_unit, sizes_in_motion
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import CurvesOptions
 from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, survey_from_start
@@ -151,13 +152,16 @@ def follow_all(
 
 def _attractors(options: CurvesOptions, batches: Sequence[LaneBatch], lanes: LaneRunner) -> _Attractors:
     """The attractors of all batches; none where no orbits are followed."""
-    waves, sizes = list[list[list[SeedOrbit]]](), list[np.ndarray]()
+    waves, d = list[list[list[SeedOrbit]]](), batches[0].chart.dimension
+    periods, sizes = [np.zeros(0, int)], [np.zeros((0, d))]
     for batch in batches if options.max_period else []:
         survey = survey_from_start(batch, lanes, options.max_period, "curves", options.transient)
-        waves.append(attractor_waves(batch, lanes, survey.u, periods_in_motion(batch, lanes, survey)))
-        sizes.append(survey.size[~survey.failed])
-    extents = np.concatenate(sizes) if sizes else np.zeros((0, batches[0].chart.dimension))
-    return _Attractors(waves, np.median(extents, axis=0) if len(extents) else np.ones(extents.shape[1]))
+        period = periods_in_motion(batch, lanes, survey)
+        waves.append(attractor_waves(batch, lanes, survey.u, period))
+        periods.append(period)
+        sizes.append(sizes_in_motion(survey, period))
+    unit = motion_unit(batches, lanes, np.concatenate(periods), np.concatenate(sizes), options.box)
+    return _Attractors(waves, unit)
 
 
 def _of_equilibria(still: EquilibriumCurves) -> CurveSet:

@@ -17,9 +17,10 @@ from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed
 from jaxnh.analyses.continuation.cycles import grow_cycles
 from jaxnh.analyses.continuation.equilibria import cycles_at_hopf_points, equilibria
 from jaxnh.analyses.continuation.families import orbit_family, step_control
+from jaxnh.analyses.continuation.motion_units import motion_unit, sizes_in_motion
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.options.orbits import HomoclinicOptions
-from jaxnh.analyses.periodic.attractor_survey import survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, survey_from_start
 from jaxnh.analyses.periodic.flow_cycles import flow_problem
 from jaxnh.exceptions import InputError
 from jaxnh.maps.section import Section
@@ -57,8 +58,9 @@ def seeds_from_cycles(
 
     limit, range_, (low, high) = options.cycles or 0, (float(ends[0][0]), float(ends[1][0])), ends
     survey = survey_from_start(batch, lanes, limit, "homoclinic", _TRANSIENT)
-    waves = attractor_waves(batch, lanes, survey.u, np.where(survey.failed, 0, survey.period))
-    size = np.median(survey.size[~survey.failed], axis=0) if not survey.failed.all() else np.ones(survey.u.shape[1])
+    period = periods_in_motion(batch, lanes, survey)
+    waves = attractor_waves(batch, lanes, survey.u, period)
+    size = motion_unit([batch], lanes, period, sizes_in_motion(survey, period), options.box)
     steps = step_control(options)._replace(max_steps=STEPS.max_steps)
     sampled = np.unique(np.linspace(0, batch.count - 1, min(_VALUES, batch.count)).round().astype(int))
     still = equilibria(batch.take(sampled), lanes, options.n_starts, options.seed, options.box, range_, steps, stage)

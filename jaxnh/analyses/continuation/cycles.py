@@ -32,7 +32,7 @@ from jaxnh.orbits.collocation.following import CycleBranch, follow_cycles
 from jaxnh.orbits.collocation.newton import correct
 from jaxnh.orbits.collocation.paths import path_through, values_at
 from jaxnh.orbits.continuation.kinds import DOUBLING
-from jaxnh.orbits.continuation.paths import START, StepControl
+from jaxnh.orbits.continuation.paths import COLLAPSED, START, UNBOUNDED, StepControl
 
 _TARGET = 1e-7  # error of the first cycle of a branch, that its mesh is chosen by
 _SAME = 1e-4  # of invariants, in sizes and widths: the cycle is on the branch
@@ -40,6 +40,7 @@ _NEAR = 0.1  # likewise: it may be
 _REPEATS = 1e-5  # sizes, to which a cycle comes back before its last return: it has fewer
 _SAMPLED = 64  # places of a path that it may repeat
 _STILL = 1e-6  # sizes: a cycle smaller than this is an equilibrium
+_MEASURED = 4  # times, at most, that sizes are taken from what branches have grown to
 
 
 def grow_cycles(
@@ -67,6 +68,27 @@ def grow_cycles(
         stage: shows what is done inside, by its label.
         locate: whether bifurcations are located, and doubled cycles followed; otherwise branches have none.
     """
+    followed, size = list[FollowedCycles](), None
+    for _ in range(_MEASURED):
+        followed, problem = _grow(batch, lanes, waves, size, unit, limit, ends, steps, stage, locate)
+        if problem is None or (size := _outgrown_size(problem, followed)) is None:
+            break
+    return followed
+
+
+def _grow(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    waves: Sequence[Sequence[SeedOrbit]],
+    size: Float[np.ndarray, " d"] | None,
+    unit: Float[np.ndarray, " d"],
+    limit: int,
+    ends: tuple[float, float],
+    steps: StepControl,
+    stage: Callable[[str], AbstractContextManager[object]],
+    locate: bool,
+) -> tuple[list[FollowedCycles], Problem | None]:
+    """The branches of `grow_cycles` in sizes, by default those of the first cycle, and the problem they solve."""
     followed, problem = list[FollowedCycles](), None
     for seed in sorted(itertools.chain(*waves), key=lambda seed: len(seed.points)):
         if problem is not None and _passes_seed(problem, followed, seed, batch):
@@ -78,12 +100,24 @@ def grow_cycles(
         guess, returns = BoundarySolution(path[0], np.array([path[1]]), np.array([[seed.value]])), len(seed.points)
         if problem is None:
             widths = np.array([ends[1] - ends[0]])
-            problem = flow_problem(
-                batch, lanes, cycle_size(batch.system, guess.path, unit), (batch.first_axis.name,), widths
-            )
+            first = cycle_size(batch.system, guess.path, unit) if size is None else size
+            problem = flow_problem(batch, lanes, first, (batch.first_axis.name,), widths)
         with stage(f"cycles of {returns} returns by collocation"):
             _follow_on(problem, followed, guess, returns, limit, ends, steps, batch, locate)
-    return followed
+    return followed, problem
+
+
+def _outgrown_size(problem: Problem, followed: Sequence[FollowedCycles]) -> Float[np.ndarray, " d"] | None:
+    """The size that cycles of branches from Hopf points have grown beyond all bounds through; None where none have.
+
+    Such a branch begins with cycles of any size, however small, and bounds in sizes of these say nothing of the flow.
+    """
+    grown = [known for known in followed if {*known.branch.ends} == {COLLAPSED, UNBOUNDED}]
+    if not grown:
+        return None
+    paths = [point.solution.path for known in grown for point in (known.branch.points[0], known.branch.points[-1])]
+    largest = np.max([0.5 * np.ptp(path.ends[0], axis=0) for path in paths], axis=0)
+    return np.maximum(problem.size, np.sqrt(problem.size * largest))
 
 
 def _follow_on(

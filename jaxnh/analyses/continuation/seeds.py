@@ -10,12 +10,12 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
-from jaxnh.analyses.periodic.attractor_survey import first_points
+from jaxnh.analyses.periodic.attractor_survey import points_of_starts
 from jaxnh.analyses.periodic.close_returns import WINDOW, nearest_returns, stretches
 from jaxnh.analyses.periodic.location import period_map
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.random_starts import Box, random_start_batch
-from jaxnh.analyses.section_points import at_rest, points_after
+from jaxnh.analyses.section_points import at_rest, points_after, points_from
 from jaxnh.maps.iterate import section_map
 from jaxnh.orbits.recognition import equal_cycles, primitive_period
 from jaxnh.orbits.shooting import orbits_from_afar
@@ -46,24 +46,26 @@ def random_wave(
 ) -> list[SeedOrbit]:
     """Orbits of all periods up to a limit, stable or not, that Newton finds near motions from random starts.
 
-    Orbits are sought where a motion, or the same after a transient, nearly comes back, by multiple shooting.
+    Orbits are sought at the starts, and where a motion, or the same after a transient, nearly comes back, by multiple
+    shooting.
     """
     many, _ = random_start_batch(batch, starts, seed, box)
     many = replace(many, axis=replace(batch.first_axis, values=np.repeat(batch.first_axis.values, starts)))
-    strobe, wrap, values = many.strobe(), batch.chart.wrap, np.tile(many.first_axis.values, 2)
-    count, u = _WINDOWS * WINDOW + limit, first_points(many, lanes)
-    paths = [points_after(many, lanes, u, wait, count) for wait in (0, transient)]
-    path, period = np.concatenate(paths), period_map(many, lanes, strobe)
+    wrap, values, count = batch.chart.wrap, many.first_axis.values, _WINDOWS * WINDOW + limit
+    first, period = points_of_starts(many, lanes), period_map(many, lanes, many.strobe())
+    begun = points_from(many.take(np.arange(len(first)) % many.count), lanes, first, limit)
+    path = np.concatenate([points_after(many, lanes, first[: many.count], wait, count) for wait in (0, transient)])
     seeds = list[SeedOrbit]()
     for n in range(1, limit + 1):
-        # The first points are random, and lead to what repels from all sides as well.
-        nearest = nearest_returns(path, n, _WINDOWS, size, wrap)
-        points, lane = stretches(path, n, np.concatenate([np.zeros((len(path), 1), int), nearest], axis=1))
+        # Starts are random, and lead from all sides to what repels as well: motions have left it after a few returns.
+        parts = (begun, np.zeros((len(begun), 1), int)), (path, nearest_returns(path, n, _WINDOWS, size, wrap))
+        points, lane = map(np.concatenate, zip(*(stretches(each, n, places) for each, places in parts), strict=True))
+        lane %= many.count
         orbit = orbits_from_afar(period, points, values[lane], size, wrap)
         near = np.max(np.abs(orbit.points) / size, axis=(1, 2)) < _FARTHEST
         good = orbit.converged & near & (primitive_period(orbit.points, size, wrap) == n)
         if n == 1:
-            good &= ~at_rest(many.take(lane % many.count), lanes, orbit.points[:, 0])
+            good &= ~at_rest(many.take(lane), lanes, orbit.points[:, 0])
         for value in np.unique(values[lane[good]]).tolist():
             candidates = orbit.points[good & (values[lane] == value)]
             first = equal_cycles(np.zeros(len(candidates), int), candidates, size, wrap) == np.arange(len(candidates))

@@ -23,7 +23,7 @@ from jaxnh.analyses.manifolds.saddles import extent
 from jaxnh.analyses.options.basins import EdgesOptions
 from jaxnh.analyses.periodic.attractor_survey import first_points
 from jaxnh.analyses.periodic.location import price_of_orbits
-from jaxnh.analyses.random_starts import check_box, draw_starts, random_start_batch
+from jaxnh.analyses.random_starts import box_corners, check_box, draw_starts, random_start_batch
 from jaxnh.analyses.trajectories.states import section_attrs
 
 _USUAL = 64.0  # periods that a state takes to its attractor, for the expected work
@@ -76,11 +76,7 @@ def run(options: EdgesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datase
 
 def _halves_of_box(options: EdgesOptions, batch: LaneBatch) -> Float[np.ndarray, "lanes d"]:
     """Return the units of shocks: half the box in its coordinates, in others the modulus of the start or one."""
-    corners = [
-        random_start_batch(batch, 1, 0, {name: (side[k], side[k]) for name, side in options.box.items()})[0]
-        for k in (0, 1)
-    ]
-    points = [corner.without_section() for corner in corners]
+    points = [corner.without_section() for corner in box_corners(batch, options.box)]
     return extent(batch.without_section(), np.stack([lane.chart.host_points(lane.start) for lane in points], axis=1))[0]
 
 

@@ -15,7 +15,7 @@ from jaxnh.analyses.manifolds.local_surfaces import FieldValues, LocalSurface, f
 from jaxnh.analyses.manifolds.motions import ROUNDING, Front
 from jaxnh.analyses.manifolds.saddles import extent, parameters_of
 from jaxnh.analyses.manifolds.surfaces import Fan, Growth, SurfaceMesh, fitting, grow_fans, strip
-from jaxnh.analyses.random_starts import Box, random_start_batch
+from jaxnh.analyses.random_starts import Box, box_corners, random_start_batch
 
 _LEAST = 16  # motions
 _SAME = 1e-6  # sizes: equilibria nearer to each other are one
@@ -137,9 +137,8 @@ def _rounding(points: Float[np.ndarray, "points d"]) -> Float[np.ndarray, " poin
 
 def box_size(batch: LaneBatch, box: Box) -> Float[np.ndarray, "lanes d"]:
     """Return half the sides of a box in each coordinate; of those that it leaves out their modulus, of angles one."""
-    ends = ({name: (side[k], side[k]) for name, side in box.items()} for k in (0, 1))
-    corners = [random_start_batch(batch, 1, 0, end)[0].start for end in ends]
-    return extent(batch, np.stack([batch.chart.host_points(corner) for corner in corners], axis=1))[0]
+    corners = [batch.chart.host_points(corner.start) for corner in box_corners(batch, box)]
+    return extent(batch, np.stack(corners, axis=1))[0]
 
 
 def find_saddles(

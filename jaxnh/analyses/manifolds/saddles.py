@@ -16,7 +16,7 @@ from jaxnh.analyses.orbits.search import newton
 from jaxnh.analyses.periodic.attractor_survey import first_points
 from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import Box, random_start_batch
-from jaxnh.analyses.section_points import points_after
+from jaxnh.analyses.section_points import points_from
 from jaxnh.maps.family import Maps
 from jaxnh.orbits.recognition import equal_cycles
 from jaxnh.orbits.shooting import close_orbits
@@ -70,7 +70,7 @@ def find_orbits(
     nearer = 0.5 ** (np.arange(starts) % _SCALES)
     first = middle[:, None] + nearer[:, None] * batch.chart.wrap(first - middle[:, None])
     first = first.reshape(-1, first.shape[-1])
-    paths = [_path(many, lanes, first, period), _path(batch, lanes, middle, period)]
+    paths = [points_from(many, lanes, first, period), points_from(batch, lanes, middle, period)]
     path = np.concatenate(paths)
     lane = np.concatenate([np.repeat(np.arange(batch.count), starts), np.arange(batch.count)])
     finite = np.isfinite(path).all(axis=(1, 2))
@@ -87,15 +87,6 @@ def find_orbits(
     order = np.lexsort((points[:, 0, 0], np.round(away.max(axis=2).min(axis=1, initial=np.inf), 6), lane))
     lane, points = lane[order], points[order]
     return Saddles(lane, np.arange(len(lane)) - np.searchsorted(lane, lane), points), size
-
-
-def _path(
-    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], period: int
-) -> Float[np.ndarray, "lanes n d"]:
-    """Return points and their images, so many together."""
-    if period == 1:
-        return u[:, None]
-    return np.concatenate([u[:, None], points_after(batch, lanes, u, 0, period - 1)], axis=1)
 
 
 def take_orbits(orbits: Saddles, kept: Bool[np.ndarray, " orbits"], most: int) -> Saddles:

@@ -16,11 +16,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import OrbitsOptions
-from jaxnh.analyses.periodic.attractor_survey import first_points, motion_sizes
+from jaxnh.analyses.periodic.attractor_survey import motion_sizes, points_of_starts
 from jaxnh.analyses.periodic.close_returns import WINDOW, nearest_returns, stretches
 from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import random_start_batch
-from jaxnh.analyses.section_points import points_after, points_and_end, states_at
+from jaxnh.analyses.section_points import points_and_end, points_from, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Section
 from jaxnh.orbits.recognition import Cycles, equal_cycles, merge_cycles, no_cycles, primitive_period
@@ -203,10 +203,10 @@ def _random_paths(
     if not options.n_starts:
         return None
     many, _ = random_start_batch(batch, options.rounds * options.n_starts, options.seed, options.box)
-    first = first_points(many, lanes)
-    later = points_after(many, lanes, first, 0, options.max_period - 1) if options.max_period > 1 else first[:, :0]
-    path = np.concatenate([first[:, None], later.reshape(len(first), -1, first.shape[1])], axis=1)
-    return path.reshape(batch.count, options.rounds, options.n_starts, *path.shape[1:])
+    first = points_of_starts(many, lanes)
+    path = points_from(many.take(np.arange(len(first)) % many.count), lanes, first, options.max_period)
+    kinds = path.reshape(-1, batch.count, options.rounds, options.n_starts, *path.shape[1:])
+    return np.concatenate(list(kinds), axis=2)
 
 
 def _sizes(

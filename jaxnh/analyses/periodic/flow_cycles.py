@@ -24,6 +24,7 @@ from jaxnh.systems.switched_mechanics import SwitchedMechanics
 _SAMPLES = 64  # of a return
 _INTERVALS = 20  # of the mesh, a return
 _STILL = 1e-5  # of the size of motions: Newton leaves orbits changes below, of coordinates that stay where they are
+_LEAST = 0.1  # of that size, that a cycle is measured in
 _CORNER = 0.1  # of the size: states further apart have others between them
 _FINER = 16  # parts of what is between them
 _LEVELS = 4
@@ -95,6 +96,9 @@ def cycle_guess(
 def cycle_size(system: System, path: PiecewisePath, unit: Float[np.ndarray, " e"]) -> Float[np.ndarray, " d"]:
     """Half the extent of a path of one lane in each coordinate; of one that stays where it is the size of motions.
 
+    The path of a small cycle, as at a Hopf point, is the beginning of a branch of larger ones: its extent is taken as
+    many times as makes it a share of the size of motions in the coordinate in which it is the largest.
+
     Args:
         system: of the path.
         path: of a cycle.
@@ -102,7 +106,10 @@ def cycle_size(system: System, path: PiecewisePath, unit: Float[np.ndarray, " e"
     """
     whole = np.insert(unit, system.number, 0.0) if isinstance(system, Section) else unit
     extent = 0.5 * np.ptp(path.ends[0], axis=0)
-    size = np.where(extent > _STILL * whole, extent, whole)
+    moves = extent > _STILL * whole
+    shares = extent[moves] / (_LEAST * np.where(whole[moves] > 0.0, whole[moves], np.inf))
+    largest = np.max(shares, initial=0.0)
+    size = np.where(moves, extent / largest if 0.0 < largest < 1.0 else extent, whole)
     return np.where(size > 0.0, size, size.max() or 1.0)
 
 
@@ -190,10 +197,14 @@ def section_normal(section: Section) -> Float[np.ndarray, " d"]:
 
 
 def passages(section: Section, path: PiecewisePath) -> Float[np.ndarray, " k"]:
-    """Places of a path where it passes a section in its direction."""
+    """Places of the path of a cycle where it passes a section in its direction.
+
+    One that begins on the section ends there as well, and on which side is rounding: it passes the section once.
+    """
     shares = np.arange(_LOOKED_AT) / _LOOKED_AT
     places = np.append((path.mesh[0, :-1, None] + path.steps[0][:, None] * shares).ravel(), 1.0)
     heights = section_heights(section, values_at(path, places[None])[0])
+    heights[-1] = heights[0]
     up, down = (heights[:-1] <= 0.0) & (heights[1:] > 0.0), (heights[:-1] >= 0.0) & (heights[1:] < 0.0)
     wanted = {"up": up, "down": down, "both": up | down}[section.direction]
     jumps = np.abs(np.diff(heights)) > 0.5 * (section.turn or np.inf)
@@ -202,7 +213,12 @@ def passages(section: Section, path: PiecewisePath) -> Float[np.ndarray, " k"]:
     def height(place: float) -> float:
         return float(section_heights(section, values_at(path, np.array([[place]]))[0])[0])
 
-    return np.array([brentq(height, low, high, xtol=_ROUNDING) for low, high in ends])
+    def place_between(low: float, high: float) -> float:
+        if height(low) * height(high) > 0.0:
+            return high
+        return float(np.asarray(brentq(height, low, high, xtol=_ROUNDING)))
+
+    return np.array([place_between(low, high) for low, high in ends])
 
 
 def section_heights(section: Section, states: Float[np.ndarray, "k d"]) -> Float[np.ndarray, " k"]:

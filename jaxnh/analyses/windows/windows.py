@@ -21,6 +21,7 @@ from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.continuation.families import orbit_family
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
 from jaxnh.analyses.continuation.known_branches import orbits_at
+from jaxnh.analyses.continuation.motion_units import motion_unit, sizes_in_motion
 from jaxnh.analyses.continuation.seeds import attractor_waves
 from jaxnh.analyses.crises.band_phase import embed_points
 from jaxnh.analyses.options.orbits import WindowsOptions
@@ -65,8 +66,9 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     """Return the windows that lanes along the first axis have settled in, in the order of the axis."""
     batch = batch.take(np.unique(batch.first_axis.values, return_index=True)[1])
     survey = survey_from_start(batch, lanes, _DOUBLED * options.max_period, "windows", options.transient)
-    size = np.median(survey.size[~survey.failed], axis=0) if not survey.failed.all() else survey.size[0]
-    line = PeriodScan(batch.first_axis.values, periods_in_motion(batch, lanes, survey), survey.u)
+    period = periods_in_motion(batch, lanes, survey)
+    size = motion_unit([batch], lanes, period, sizes_in_motion(survey, period), {})
+    line = PeriodScan(batch.first_axis.values, period, survey.u)
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"windows: {label}", 0)

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.engine.accuracy.first_look import follow
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, image_of
@@ -82,8 +82,14 @@ def measure_sizes(
     whole = _largest(moduli)
     sizes = _median_of_positive(np.where(later, _largest(moduli[..., _FIRST:]), whole))
     steps = _median_of_positive(_largest(np.abs(np.diff(values, axis=2))))
-    within, ways = _within_periods(maps, paths, escaping, float(steps[-1]) if maps.sectioned else None)
-    sizes = np.maximum(np.maximum(sizes, within), _SHARE_OF_FIRST * _median_of_positive(whole))
+    length = float(steps[-1]) if maps.sectioned else None
+    last = escaping.shape[1] - 1 - np.argmin(escaping[:, ::-1], axis=1)
+    within, ways = _within_periods(maps, paths, escaping, last, length)
+    sizes, at_first = np.maximum(sizes, within), _median_of_positive(whole)
+    if maps.sectioned and np.any(sizes < _SHARE_OF_FIRST * np.max(sizes)):
+        # What a section fixes is nothing but rounding at all crossings: what it was at first is seen between them.
+        at_first = np.maximum(at_first, _within_periods(maps, paths, escaping, np.zeros_like(last), length)[0])
+    sizes = np.maximum(sizes, _SHARE_OF_FIRST * at_first)
     steps = np.maximum(steps, ways)
     for i in np.flatnonzero((sizes > _APART * steps) & (steps > 0.0)):
         far = sizes[i] > _FAR * steps[i]
@@ -98,16 +104,19 @@ def measure_sizes(
 
 
 def _within_periods(
-    maps: SampleMaps, paths: Samples, escaping: Bool[np.ndarray, "lanes periods"], length: float | None
+    maps: SampleMaps,
+    paths: Samples,
+    escaping: Bool[np.ndarray, "lanes periods"],
+    number: Int[np.ndarray, " lanes"],
+    length: float | None,
 ) -> tuple[Float[np.ndarray, " components"], Float[np.ndarray, " components"]]:
-    """Largest moduli and ways of the components within the last period of lanes; zero of the time of a crossing.
+    """Largest moduli and ways of the components within one period of each lane; zero of the time of a crossing.
 
     At strobes alone a coordinate may vanish, or be at rest.
     """
     kept = np.flatnonzero(~np.all(escaping, axis=1))
-    last = escaping.shape[1] - 1 - np.argmin(escaping[:, ::-1], axis=1)
     picked = paths.take_lanes(kept)
-    at = picked._replace(states=jax.tree.map(lambda leaf: leaf[np.arange(len(kept)), last[kept]], picked.states))
+    at = picked._replace(states=jax.tree.map(lambda leaf: leaf[np.arange(len(kept)), number[kept]], picked.states))
     if not len(kept):
         return np.zeros(len(coordinate_names(maps.flows[0]))), np.zeros(len(coordinate_names(maps.flows[0])))
     passage = follow(maps, at, length)

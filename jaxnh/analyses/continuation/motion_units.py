@@ -1,0 +1,83 @@
+"""Sizes that orbits of a whole sweep are measured in, one of each section coordinate.
+
+Motions of lanes have sizes, but not where they have come to rest in an equilibrium, and that may be all lanes: then the
+starts say how large orbits may be. Sizes that the config gives as `accuracy.scale` count before all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.periodic.attractor_survey import Survey
+from jaxnh.analyses.random_starts import Box, box_corners
+from jaxnh.analyses.section_points import points_at
+from jaxnh.maps.section import begin
+
+_LEAST = 0.01  # of the extent of starts: smaller motions that are no orbits are on their way to an equilibrium
+
+
+def sizes_in_motion(survey: Survey, period: Int[np.ndarray, " lanes"]) -> Float[np.ndarray, "lanes d"]:
+    """Return the sizes of the motions of lanes, NaN of those that have failed or come to rest.
+
+    Args:
+        survey: of the lanes.
+        period: `periods_in_motion` of it.
+    """
+    at_rest = (survey.period > 0) & (period == 0)
+    return np.where((survey.failed | at_rest)[:, None], np.nan, survey.size)
+
+
+def motion_unit(
+    batches: Sequence[LaneBatch],
+    lanes: LaneRunner,
+    period: Int[np.ndarray, " lanes"],
+    sizes: Float[np.ndarray, "lanes d"],
+    box: Box,
+) -> Float[np.ndarray, " d"]:
+    """Return a size of each section coordinate: the median over lanes that move.
+
+    Where no lane has settled on an orbit it is the extent of starts at least.
+
+    Args:
+        batches: of the lanes.
+        lanes: runs lanes.
+        period: of the orbits that all of them have settled on, 0 of no orbit.
+        sizes: of the motions, as of `sizes_in_motion`.
+        box: that random starts are drawn from; without it starts are those of the lanes.
+    """
+    starts = np.max([_extent_of_starts(batch, lanes, box) for batch in batches], axis=0)
+    moving = ((period > 0) | np.any(sizes > _LEAST * starts, axis=1)) & np.isfinite(sizes).all(axis=1)
+    unit = np.median(sizes[moving], axis=0) if moving.any() else starts
+    return _given_or(batches[0], unit if np.any(moving & (period > 0)) else np.maximum(unit, starts))
+
+
+def search_unit(
+    batch: LaneBatch, lanes: LaneRunner, unit: Float[np.ndarray, " d"], box: Box
+) -> Float[np.ndarray, " d"]:
+    """Return the sizes that orbits are sought in, from random starts in a box: its extent where motions are smaller."""
+    return _given_or(batch, np.maximum(unit, _extent_of_starts(batch, lanes, box)))
+
+
+def _extent_of_starts(batch: LaneBatch, lanes: LaneRunner, box: Box) -> Float[np.ndarray, " d"]:
+    """Return the largest modulus of each section coordinate among starts, of angles one.
+
+    A coordinate that is zero at all starts has the largest of the others.
+    """
+    if batch.chart.dimensionless:
+        return np.ones(batch.chart.dimension)
+    points = np.concatenate([points_at(corner, lanes, corner.start) for corner in box_corners(batch, box)])
+    extent = np.where(np.array(batch.chart.angles), 1.0, np.max(np.abs(points), axis=0))
+    return np.where(extent > 0.0, extent, extent.max() or 1.0)
+
+
+def _given_or(batch: LaneBatch, sizes: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+    """Return sizes of section coordinates, those that the config gives in their place."""
+    if not batch.given_sizes:
+        return sizes
+    every = {name: batch.given_sizes.get(name, np.nan) for name in batch.flow.coordinates}
+    given = np.abs(batch.chart.host_points(begin(batch.system, batch.flow.start(every))))
+    return np.where(np.isfinite(given) & ~np.array(batch.chart.angles), given, sizes)
