@@ -106,10 +106,12 @@ def test_the_pulse_beside_the_hamiltonian_one():
         first_order(connections.pulse, {"a": 0.0, "b": 0.5}, ("a", "b")), ("a", "b"), (1.5, 0.6), (2.0, 1.0)
     )
     times = np.linspace(-9.0, 9.0, 200)
-    x = 1.5 / np.cosh(times / 2) ** 2
-    guess = guess_through(times, np.stack([x, -x * np.tanh(times / 2)], axis=1), (-0.4, 0.5))
-    begun = connection_near(problem, guess, np.zeros(2), np.zeros(2))
+    begun = connection_near(problem, _pulse(times), np.zeros(2), np.zeros(2))
     curve = follow_connections(problem, begun, np.array([-1.0, -0.5]), np.array([1.0, 0.5]), StepControl(0.1, 100))
+    path = begun.solution.path
+    cut = path._replace(ends=path.ends[:, path.ends[0, :, 0] > 0.05])  # as one that is cut further from the saddle
+    assert cut.ends.shape[1] < path.ends.shape[1]
+    assert is_on_curve(problem, curve, begun._replace(solution=begun.solution._replace(path=cut)))
     a, b = np.array([point.values for point in points_of(curve)]).T
     slopes = (a + 6 / 7 * b)[np.abs(b) > 1e-6] / b[np.abs(b) > 1e-6] ** 3
     assert np.ptp(slopes) < 0.1 * np.abs(slopes).max()  # one coefficient of b³, but for the next order
@@ -122,6 +124,12 @@ def test_the_pulse_beside_the_hamiltonian_one():
     energy = path.ends[0, :, 1] ** 2 / 2 - path.ends[0, :, 0] ** 2 / 2 + path.ends[0, :, 0] ** 3 / 3
     assert np.abs(energy).max() < 1e-9
     assert path.ends[0, :, 0].max() == pytest.approx(1.5, abs=1e-2)  # of the mesh
+
+
+def _pulse(times):
+    """The Hamiltonian pulse at some times, as a guess."""
+    x = 1.5 / np.cosh(times / 2) ** 2
+    return guess_through(times, np.stack([x, -x * np.tanh(times / 2)], axis=1), (-0.4, 0.5))
 
 
 def test_fronts_in_closed_form():

@@ -100,9 +100,10 @@ def _place(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> _Plac
 
 
 def _shape(problem: Problem, orbit: Connection) -> Float[np.ndarray, " 4d"]:
-    """The box around an orbit and its ends, in sizes."""
-    ends = orbit.solution.path.ends[0] / problem.size
-    return np.concatenate([ends.min(axis=0), ends.max(axis=0), ends[0], ends[-1]])
+    """The box around an orbit with its saddles, and these, in sizes: how near to them it is cut says nothing of it."""
+    saddles = np.stack([orbit.departure.state, orbit.arrival.state]) / problem.size
+    whole = np.concatenate([orbit.solution.path.ends[0] / problem.size, saddles])
+    return np.concatenate([whole.min(axis=0), whole.max(axis=0), *saddles])
 
 
 def _length(problem: Problem, orbit: Connection) -> float:
