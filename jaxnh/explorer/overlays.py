@@ -23,6 +23,7 @@ from jaxnh.plotting.style import BLACK, BLUE, CURVES, GREEN, ORANGE, PURPLE, VER
 _INK = "#303030"
 _MARKS = {"s": "square", "o": "circle", "^": "triangle", "D": "diamond", "v": "inverted_triangle", "x": "x"}
 _STABILITIES = {"stable": GREEN, "saddle": VERMILION, "repelling": PURPLE, "neutral": ORANGE}
+_ATTRACTS = {1: "stable", 0: "unstable", 2: "undecided"}  # by the number of `stable`
 _MANIFOLDS = {"unstable": VERMILION, "stable": BLUE}
 
 
@@ -189,20 +190,20 @@ def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
         return
     x = data[across].to_numpy()
     y = _heights(data, up, levels, "branch", "point", "iterate")
-    stable, period = data["stable"].to_numpy() == 1, data["period"].to_numpy()
+    stable, period = data["stable"].to_numpy(), data["period"].to_numpy()
 
     def facts(b: int, k: int) -> Facts:
-        words = f"{_period(period[b])}, {'stable' if stable[b, k] else 'unstable'}"
+        words = f"{_period(period[b])}, {_ATTRACTS.get(int(stable[b, k]), 'unstable')}"
         residual = [("residual", f"{float(data['residual'][b, k]):.1g}")] if "residual" in data else []
         known = [("branch", words), ("number", f"{b}"), (across, repr(float(x[b, k])))]
         return [*known, *_second(data, up, levels, b), *_multipliers(data, (b, k)), *residual]
 
     periods = np.unique(period).tolist()
     for n in periods:
-        for attracts in (True, False):
+        for dash, (kind, stability) in enumerate(_ATTRACTS.items()):
             items = []
             for b in np.flatnonzero(period == n).tolist():
-                places = stretch_places(stable[b] == attracts, np.zeros(len(x[b]), bool))
+                places = stretch_places(stable[b] == kind, np.zeros(len(x[b]), bool))
                 if np.any(places & np.isfinite(x[b])):
                     items += [
                         Item(
@@ -211,9 +212,9 @@ def _of_branches(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
                         for i in range(max(n, 1) if levels is None else 1)
                     ]
             if items:
-                words = f"{_period(n)}, {'stable' if attracts else 'unstable'}"
+                words = f"{_period(n)}, {stability}"
                 colour = CURVES[periods.index(n) % len(CURVES)]
-                yield Layer(words, "line", colour, tuple(items), dash=0 if attracts else 1)
+                yield Layer(words, "line", colour, tuple(items), dash=dash)
 
 
 def _second(data: xr.Dataset, up: str, levels: np.ndarray | None, at: int) -> Facts:

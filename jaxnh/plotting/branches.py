@@ -19,6 +19,7 @@ from jaxnh.plotting.style import CURVES
 _INK = LinearSegmentedColormap.from_list("ink", ("#d4d4d4", "#808080"))
 MARKS = {"fold": "s", "period doubling": "o", "neimark sacker": "^", "branch point": "D", "hopf": "v", "grazing": "P"}
 """The mark of a kind of bifurcation."""
+_STYLES = ((1, "-"), (0, (0, (4, 2))), (2, ":"))  # of what attracts, does not, and is not known
 _PERIODS = 8  # that the legend names, the shortest first
 
 
@@ -38,6 +39,7 @@ def branches(
     ax = new_axes(ax)
     parameter, [drawn] = parameter_of(data), variables_of(data)
     stable, period = (variable.to_numpy() for variable in require_variables(data, "stable", "period"))
+    undecided = bool(np.any(stable == 2))
     edges = [_draw_density(group, str(drawn.name).removesuffix("_points"), parameter, ax) for group in under]
     x, y = data[parameter].to_numpy(), drawn.transpose("branch", "point", "iterate").to_numpy()
     marks = list(marks)
@@ -46,11 +48,10 @@ def branches(
     for k, n in enumerate(every):
         colour = CURVES[k % len(CURVES)]
         rows = np.flatnonzero(period == n)
-        for attracts, style in ((True, "-"), (False, (0, (4, 2)))):
+        for kind, style in _STYLES[: 2 + undecided]:
+            attracts = kind == 1
             orbits = [(b, i) for b in rows for i in range(max(n, 1))]
-            lines = [
-                _stretches(*_insert_turns(x[b], y[b, :, i], stable[b] == 1, turns[b]), attracts) for b, i in orbits
-            ]
+            lines = [_stretches(*_insert_turns(x[b], y[b, :, i], stable[b], turns[b]), kind) for b, i in orbits]
             if lines:
                 points = np.concatenate(lines)
                 words = f"period {n}" if n else "equilibria"
@@ -61,7 +62,7 @@ def branches(
     ends = np.concatenate([x[np.isfinite(x)], *edges])
     low, high = (ends.min(), ends.max()) if ends.size else (0.0, 1.0)
     ax.set(xlabel=axis_label(data[parameter]), ylabel=_label(drawn), xlim=(low, high))
-    _add_legend(ax)
+    _add_legend(ax, undecided)
     return ax
 
 
@@ -116,9 +117,12 @@ def _label(drawn: xr.DataArray) -> str:
     return axis_label(drawn, words.replace(f" {name} ", f" {symbol_of(name)} ", 1) if is_symbol(name) else words)
 
 
-def _add_legend(ax: Axes) -> None:
+def _add_legend(ax: Axes, undecided: bool) -> None:
     """The legend, beside the axes or in a column above them, and what the lines are."""
-    words, said = "solid: stable, dashed: unstable", bool(ax.get_legend_handles_labels()[0])
+    words, said = (
+        "solid: stable, dashed: unstable" + ", dotted: undecided" * undecided,
+        bool(ax.get_legend_handles_labels()[0]),
+    )
     if said and narrow(ax):
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 2}
         ax.legend(fontsize=7, frameon=False, title=words, title_fontsize=8, **place)
@@ -143,13 +147,13 @@ def _bifurcation_points(
 
 
 def _insert_turns(
-    x: np.ndarray, y: np.ndarray, attracts: np.ndarray, turns: Iterable[tuple[float, np.ndarray]]
+    x: np.ndarray, y: np.ndarray, stable: np.ndarray, turns: Iterable[tuple[float, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A curve with its bifurcations inserted; which points attract, and which are new."""
+    """A curve with its bifurcations inserted; whether points attract, and which are new."""
     finite = np.isfinite(x) & np.isfinite(y)
     whole = [float(np.ptp(values[finite])) or 1.0 if finite.any() else 1.0 for values in (x, y)]
     places, more = list[int](), list[tuple[float, float]]()
-    for k in np.flatnonzero((attracts[1:] != attracts[:-1]) & finite[1:] & finite[:-1]):
+    for k in np.flatnonzero((stable[1:] != stable[:-1]) & finite[1:] & finite[:-1]):
         ends = np.array([[x[k], y[k]], [x[k + 1], y[k + 1]]]) / whole
         near = [(value, up) for value, row in turns for up in row]
         far = [float(np.linalg.norm(np.array(point) / whole - ends.mean(axis=0))) for point in near]
@@ -158,15 +162,15 @@ def _insert_turns(
             more.append(near[int(np.argmin(far))])
     new = np.insert(np.zeros(len(x), bool), places, True)
     across, up = (np.insert(old, places, [point[k] for point in more]) for k, old in enumerate((x, y)))
-    return across, up, np.insert(attracts, places, False), new
+    return across, up, np.insert(stable, places, 0), new
 
 
-def _stretches(x: np.ndarray, y: np.ndarray, stable: np.ndarray, new: np.ndarray, attracts: bool) -> np.ndarray:
+def _stretches(x: np.ndarray, y: np.ndarray, stable: np.ndarray, new: np.ndarray, kind: int) -> np.ndarray:
     """Points (some, 2) of a curve where it is of one kind, with gaps between stretches.
 
     A stretch ends at the bifurcation that has been put in, or where there is none at the next point beyond.
     """
-    places = stretch_places((stable == attracts) & ~new, new)
+    places = stretch_places((stable == kind) & ~new, new)
     points = np.column_stack([np.where(places, x, np.nan), np.where(places, y, np.nan)])
     return np.concatenate([points, np.full((1, 2), np.nan)])
 

@@ -18,9 +18,9 @@ from jaxnh.orbits.collocation.equations import BoundarySolution
 from jaxnh.orbits.collocation.following import follow_cycles
 from jaxnh.orbits.collocation.homoclinic import saddle_at
 from jaxnh.orbits.collocation.newton import correct
-from jaxnh.orbits.collocation.paths import path_through
+from jaxnh.orbits.collocation.paths import path_through, values_at
 from jaxnh.orbits.continuation.kinds import DOUBLING
-from jaxnh.orbits.continuation.paths import COLLAPSED, MOST_POINTS, RANGE, StepControl
+from jaxnh.orbits.continuation.paths import COLLAPSED, INFINITE_PERIOD, MOST_POINTS, RANGE, StepControl
 from jaxnh.systems.first_order import first_order
 from tests.flows.hopf_normal_form import OMEGA, hopf
 from tests.flows.lorenz import PARAMETERS, lorenz
@@ -59,9 +59,34 @@ def canards(n, points):
     return follow_cycles(problem, begun, np.zeros(2), (0.95, 1.01), StepControl(0.05, points))
 
 
+def canard_logarithm(parameter, top):
+    """The logarithm of a canard's multiplier, the integral of the divergence by DOP853 from its highest state on.
+
+    From (a, top), where the slow coordinate turns, the cycle goes along the attracting slow manifold to where it turns
+    again; back in time it goes there along the repelling one, which then attracts. Neither piece keeps its errors.
+    """
+
+    def rates(t, y):
+        return *slow_fast(parameter)["rhs"](y[:2], t), (1.0 - y[0] ** 2) / EPSILON
+
+    pieces = []
+    for side in (1.0, -1.0):
+
+        def turns(t, y, side=side):
+            return side if abs(t) < 0.1 else y[0] - parameter
+
+        turns.terminal = True
+        start = [parameter, top, 0.0]
+        path = solve_ivp(rates, (0.0, 8.0 * side), start, "DOP853", rtol=1e-12, atol=1e-12, events=turns)
+        pieces.append(path.y_events[0][0])
+    (_, low, ahead), (_, same, back) = pieces
+    assert abs(low - same) < 1e-8  # as near as the parameter is to the canard's
+    return ahead - back
+
+
 @pytest.mark.slow  # branches by collocation are quick
 def test_canards_grow_at_one_value_of_the_parameter():
-    """Up to half of the largest amplitude, at the series' value; multipliers beyond the digits of double precision."""
+    """Up to half of the largest amplitude, at the series' value; all of them attract, by DOP853 in two pieces."""
     branch = canards(120, 80)
     assert branch.ends[1] == MOST_POINTS
     heights = np.array([np.ptp(point.solution.path.ends[0, :, 0]) for point in branch.points])
@@ -69,7 +94,13 @@ def test_canards_grow_at_one_value_of_the_parameter():
     assert heights.max() > 2.0
     next_term = 1e-8  # ε⁴
     assert np.abs(branch.value[middle] - CANARD).max() < next_term
-    assert max(abs(point.multipliers[0]) for point in branch.points) > 1e16
+    assert all(0.0 < point.multipliers[0].real < 1.0 for point in branch.points)
+    for k in np.flatnonzero(middle):
+        point = branch.points[k]
+        top = values_at(point.solution.path, np.linspace(0.0, 1.0, 20_001)[None])[0, :, 1].max()
+        gap = abs(np.log(point.multipliers[0].real) - canard_logarithm(point.value, top))
+        assert gap < 1e-3  # 10⁻⁶ of the highest state
+        assert point.errors[0] < 1e-3 * point.multipliers[0].real
 
 
 @pytest.mark.slow
@@ -233,6 +264,22 @@ def lorenz_branch(points):
     cycle = correct(problem, guess, closure(problem, np.zeros((1, 3))), hold)
     begun = reversed_way(point_at(problem, cycle.solution, np.zeros(3), None))
     return problem, follow_cycles(problem, begun, np.zeros(3), (13.0, 25.0), StepControl(0.1, points))
+
+
+def test_cycles_of_lorenz_end_at_rest_in_the_origin():
+    """At an infinite period; on the way the multiplier grows by the saddle's rates, and the product is Liouville's."""
+    _, branch = lorenz_branch(200)
+    assert branch.ends[1] == INFINITE_PERIOD
+    last = [point for point in branch.points if point.solution.duration[0] > 5.0]
+    durations = np.array([point.solution.duration[0] for point in last])
+    known = np.array([point.multipliers for point in last])
+    assert np.all(known[:, 0].real > 0.0)
+    saddle = -5.5 + np.sqrt(30.25 + 10 * (branch.value[-1] - 1)) - 8 / 3
+    slopes = np.diff(np.log(known[:, 0].real)) / np.diff(durations)
+    assert np.abs(slopes[durations[1:] > 7.0] - saddle).max() < 1e-2
+    exact = np.exp(-(11 + 8 / 3) * durations) / known[:, 0].real
+    errors = np.array([point.errors for point in last])
+    assert np.all(np.abs(known[:, 1] - exact) <= errors[:, 1] + errors[:, 0] / known[:, 0].real * exact)
 
 
 def first_side(rho):

@@ -46,9 +46,11 @@ def tree_of_cycles(batch: LaneBatch, followed: Sequence[FollowedCycles]) -> Tree
         orbits = np.stack([cycle_points(batch, solution, known.returns) for solution in solutions])
         still = PathVector(np.zeros_like(orbits), np.zeros(len(orbits)))
         multipliers = np.stack([point.multipliers for point in known.branch.points])
+        errors = np.stack([point.errors for point in known.branch.points])
         residual = np.array([point.residual for point in known.branch.points])
         none = np.zeros((len(orbits), 0))
-        branches.append(Branch(orbits, known.branch.value, still, none, multipliers, residual, known.branch.ends))
+        values, ends = known.branch.value, known.branch.ends
+        branches.append(Branch(orbits, values, still, none, multipliers, residual, ends, errors))
         for bifurcation in known.bifurcations:
             at = cycle_points(batch, bifurcation.point.solution, known.returns)
             value = bifurcation.point.value

@@ -27,14 +27,14 @@ from jaxnh.maps.section import outputs, plot_plane
 from jaxnh.orbits.bifurcations.normal_forms import CRITICALITIES
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.branches import Branch
-from jaxnh.orbits.continuation.kinds import KINDS, stable
+from jaxnh.orbits.continuation.kinds import KINDS, STABILITIES, stability
 from jaxnh.orbits.continuation.paths import ENDS
 from jaxnh.systems.flow import Output
 
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
-    "begins", "ends", "points", "kind", "not_located", "not_located_kind", "criticality", "coefficient",
-    "parameter", "duration",
+    "multipliers_error", "begins", "ends", "points", "kind", "not_located", "not_located_kind", "criticality",
+    "coefficient", "parameter", "duration",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
@@ -145,9 +145,16 @@ def _warnings(axis: Axis, trees: Sequence[Tree]) -> str:
     """Lines for the user."""
     if not trees[0].branches:
         return f"branches: there is no periodic orbit to follow along {axis.name}"
+    lines = list[str]()
     if lost := sum(len(tree.lost) for tree in trees):
-        return f"branches: {lost} sign changes of test functions led to no bifurcation that could be located"
-    return ""
+        lines.append(f"branches: {lost} sign changes of test functions led to no bifurcation that could be located")
+    unknown = [int(np.sum(np.any(np.isnan(branch.multipliers), axis=1))) for branch in trees[0].branches]
+    if count := sum(unknown):
+        points = sum(len(branch.value) for branch in trees[0].branches)
+        lines.append(
+            f"branches: of {count} of {points} orbits not all multipliers are known; no bifurcation is told there"
+        )
+    return "\n".join(lines)
 
 
 def _branches(
@@ -166,14 +173,21 @@ def _branches(
     dims = ("branch", "point")
     periods = [_period(grown[part], branch.period) for part, branch in branches]
     values = table([_parts(branch.multipliers) for branch in every], np.nan, _dimension(grown), 2)
-    attracts = [stable(grown[part].family, branch.multipliers) for part, branch in branches]
+    attracts = [stability(grown[part].family, branch.multipliers, branch.errors) for part, branch in branches]
+    errors = [np.zeros((0, 0)) if branch.errors is None else branch.errors for branch in every]
+    told = dict[str, Entry]()
+    if any(branch.errors is not None for branch in every):
+        known = table([np.where(np.isfinite(each), each, np.nan) for each in errors], np.nan, _dimension(grown))
+        words = "error of each multiplier, from what the mesh leaves"
+        told["multipliers_error"] = variable((*dims, "multiplier"), known, words)
     residual = "largest component of P(u) − u, in sizes of the motion"
     return {
         axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
         "period": period_variable(("branch",), periods, iterate_units(system)),
         **orbit_coordinates(lanes, grown, [(part, branch.points) for part, branch in branches], table, dims),
         "multipliers": variable((*dims, "multiplier", "part"), values, _multiplier_words(grown)),
-        "stable": flag(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", "no", "yes"), -1),
+        **told,
+        "stable": flag(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", *STABILITIES), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
         "begins": flag("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
         "ends": flag("branch", [b.ends[1] for b in every], "why the branch ends there", ENDS),

@@ -1,7 +1,8 @@
 """Bifurcations of cycles on branches by collocation, and the branches of doubled cycles that leave there. Host code.
 
 Test functions are of multipliers: products of 1 + μ and of 1 − μ_i μ_j, each factor in units of 1 + |μ|, that none
-overflows. Where 1 − μ changes sign and the parameter does not turn, there is a branch point.
+overflows; they are not numbers where multipliers are not known well enough to tell their signs. Where 1 − μ changes
+sign and the parameter does not turn, there is a branch point.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.optimize import brentq, root_scalar
+from jaxtyping import Complex, Float
+from scipy.optimize import brentq
 
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.collocation.cycle_equations import CollocationEquations, CyclePoint, point_at
@@ -39,6 +40,7 @@ _ZERO = 1e-6  # of its values around: that of a test function at a zero
 _AWAY = (2e-2, 4e-3, 1e-3, 2.5e-4)  # from a doubling, in lengths, tried in this order
 _STRAIGHT = 0.9  # cosine of the angle between the branch there and the direction it sets out in
 _FLOOR = 1e-12  # of the width of the range: what rounding leaves
+_TOLD = 0.1  # of 1 + |μ|: error of a factor of a test function that leaves its sign
 _ROUNDING = 1e-10  # of a test function: less tells no sign, as of 1 − μ_1 μ_2 where area is preserved
 
 
@@ -65,18 +67,20 @@ def fold_test(point: CyclePoint) -> float:
 
 def unit_test(point: CyclePoint) -> float:
     """∏ (1 − μ)/(1 + |μ|)."""
-    return _product([1.0 - mu for mu in point.multipliers], np.abs(point.multipliers))
+    return _product(1.0 - point.multipliers, np.abs(point.multipliers), point.errors)
 
 
 def doubling_test(point: CyclePoint) -> float:
     """∏ (1 + μ)/(1 + |μ|)."""
-    return _product([1.0 + mu for mu in point.multipliers], np.abs(point.multipliers))
+    return _product(1.0 + point.multipliers, np.abs(point.multipliers), point.errors)
 
 
 def torus_test(point: CyclePoint) -> float:
     """∏ (1 − μ_i μ_j)/(1 + |μ_i μ_j|) over i < j."""
-    pairs = [first * second for first, second in itertools.combinations(point.multipliers, 2)]
-    return _product([1.0 - mu for mu in pairs], np.abs(pairs))
+    first, second = np.triu_indices(len(point.multipliers), 1)
+    sizes, errors, pairs = np.abs(point.multipliers), point.errors, point.multipliers[first] * point.multipliers[second]
+    off = sizes[first] * errors[second] + errors[first] * (sizes[second] + errors[second])
+    return _product(1.0 - pairs, np.abs(pairs), off)
 
 
 def bifurcations(
@@ -101,7 +105,8 @@ def bifurcations(
                 continue
             point, error = _locate(problem, now, after, lift, test)
             if point is None:
-                lost.append((place, kind))
+                if _changes_on_halves(problem, now, after, lift, test):
+                    lost.append((place, kind))
             elif kind != NEIMARK_SACKER or not _neutral(point):
                 located.append(CycleBifurcation(kind, place, point, error))
     return located, lost
@@ -153,13 +158,44 @@ def _locate(
     known = {0.0: test(now), 1.0: test(after)}
     try:
         share = float(brentq(lambda s: known.get(s) or coarse.test(s), 0.0, 1.0, xtol=_ROOT))  # pyright: ignore[reportArgumentType]
-        root = root_scalar(fine.test, method="secant", x0=share, x1=share + _BESIDE, xtol=_ROOT, maxiter=_STEPS).root
-        first, point = coarse.point(share), fine.point(root)
+        first, point = coarse.point(share), fine.point(_zero_beside(fine.test, share))
     except _NoPointError:
         return None, np.inf
     if max(abs(test(first)), abs(test(point))) > _ZERO * scale:
         return None, np.inf
     return point, abs(point.value - first.value) + _FLOOR * float(problem.widths[0])
+
+
+def _changes_on_halves(
+    problem: Problem,
+    now: CyclePoint,
+    after: CyclePoint,
+    lift: Float[np.ndarray, " d"],
+    test: Callable[[CyclePoint], float],
+) -> bool:
+    """Return whether a change of sign may be one on the halves of the mesh too: otherwise it is the mesh's own.
+
+    Where a parameter hardly moves, as along canards, what a mesh leaves of its error tells the sign of its rate.
+    """
+    solution = after.solution
+    near = solution._replace(path=on_mesh(solution.path, halved(solution.path.mesh)))
+    chord = _Chord(CollocationEquations(problem, near, lift), now, after, test)
+    try:
+        return _differ(chord.test(0.0), chord.test(1.0))
+    except _NoPointError:
+        return True
+
+
+def _zero_beside(test: Callable[[float], float], share: float) -> float:
+    """The zero of a test function near a share, by the secant method."""
+    before, now = share, share + _BESIDE
+    values = test(before), test(now)
+    for _ in range(_STEPS):
+        if values[0] == values[1] or abs(now - before) <= _ROOT:
+            break
+        before, now = now, now - values[1] * (now - before) / (values[1] - values[0])
+        values = values[1], test(now)
+    return now
 
 
 class _NoPointError(Exception):
@@ -195,8 +231,11 @@ class _Chord:
         return self._equations.points(corrected)[0]
 
     def test(self, share: float) -> float:
-        """The test function there."""
-        return self._test(self.point(share))
+        """The test function there; raises `_NoPointError` where it is not known."""
+        value = self._test(self.point(share))
+        if not np.isfinite(value):
+            raise _NoPointError
+        return value
 
 
 def _neutral(point: CyclePoint) -> bool:
@@ -207,10 +246,17 @@ def _neutral(point: CyclePoint) -> bool:
 
 
 def _changes(test: Callable[[CyclePoint], float], now: CyclePoint, after: CyclePoint) -> bool:
-    before, later = test(now), test(after)
+    return _differ(test(now), test(after))
+
+
+def _differ(before: float, later: float) -> bool:
+    """Return whether two values of a test function have different signs, which are not rounding's."""
     return before * later < 0.0 and max(abs(before), abs(later)) > _ROUNDING
 
 
-def _product(factors: list[complex], moduli: Float[np.ndarray, " k"]) -> float:
-    """The real product of factors in units of one more than moduli."""
-    return float(np.real(np.prod([factor / (1.0 + modulus) for factor, modulus in zip(factors, moduli, strict=True)])))
+def _product(
+    factors: Complex[np.ndarray, " k"], moduli: Float[np.ndarray, " k"], errors: Float[np.ndarray, " k"]
+) -> float:
+    """The real product of factors in units of one more than moduli; not a number where errors leave no sign."""
+    units = 1.0 + moduli
+    return float(np.real(np.prod(factors / units))) if np.all(errors <= _TOLD * units) else np.nan

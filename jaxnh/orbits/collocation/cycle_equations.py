@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from jaxnh.orbits.collocation.cycles import closure, cycle_multipliers
+from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.equations import (
     BoundarySolution,
     Functional,
@@ -29,18 +29,19 @@ from jaxnh.orbits.collocation.equations import (
     phase_condition,
     step_of,
 )
+from jaxnh.orbits.collocation.floquet import cycle_multipliers
 from jaxnh.orbits.collocation.newton import take
 from jaxnh.orbits.collocation.paths import PiecewisePath, adapted_mesh, interpolation_errors, on_mesh, values_at
 from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, LinearSolution, Solution
-from jaxnh.orbits.continuation.paths import CLOSED, COLLAPSED, UNBOUNDED
+from jaxnh.orbits.continuation.paths import CLOSED, COLLAPSED, INFINITE_PERIOD, UNBOUNDED
 
 _RESOLVED = 1e-4  # error of a multiplier, relative to it or absolute where it is small, at which meshes are fine enough
 _SMOOTH = 1e-5  # error of polynomials within intervals, likewise
 _UNEVEN, _EVEN_ENOUGH = 100.0, 0.1  # times the median error, and of the error above: a mesh is adapted beyond both
 _FARTHEST = 1e3  # sizes of the motion
 _LEAST_LOOP = 8  # points of a closed branch
-_SAMPLED = 32  # points of an orbit that tell whether it has become one of half the duration
+_STILL = 1e-10  # of the extent a duration: the least speed of a cycle that has come to an equilibrium
 
 
 Ends = tuple[float, float] | tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]
@@ -53,7 +54,8 @@ class CyclePoint(NamedTuple):
     Attributes:
         solution: the cycle.
         way: direction of the branch.
-        multipliers, errors: Floquet multipliers, and how far the mesh is from resolving each, (e,).
+        multipliers, errors: Floquet multipliers, not numbers where they are not known, and how far the mesh is from
+            resolving each, (e,).
         bends: errors of the polynomials in each interval, in sizes, (n,).
         residual: largest component of the equations, in sizes.
     """
@@ -191,8 +193,10 @@ class CollocationEquations(EquationsOfPaths):
     def points(self, orbits: Solution) -> list[CyclePoint]:
         """Points of the branch with their multipliers, from solutions."""
         solution, way = self.solution(orbits.z), self.variation(orbits.way)
-        blocks = orbits.blocks[:, :-1].reshape(len(orbits.z), self._stages[0], *2 * [self._stages[2]])
-        values, errors = cycle_multipliers(self._problem, solution, blocks, orbits.blocks[:, -1])
+        lanes, (n, m, d) = len(orbits.z), self._stages
+        blocks, divergence = np.split(orbits.blocks[:, :-1], [n * d * d], axis=1)
+        blocks, divergence = blocks.reshape(lanes, n, d, d), divergence.reshape(lanes, n, m)
+        values, errors = cycle_multipliers(self._problem, solution, blocks, divergence)
         bends = interpolation_errors(solution.path, self._problem.size)
         return [
             CyclePoint(take(solution, [k]), take(way, [k]), values[k], errors[k], bends[k], float(orbits.residual[k]))
@@ -209,13 +213,15 @@ class CollocationEquations(EquationsOfPaths):
             rows = [*rows, partial(inner, solution.path, way)]
             step = step_of(line, rows, np.stack([*gone, 0.0 * gone[0]], axis=1))
         except np.linalg.LinAlgError:
-            count = self._stages[0] * self._stages[2] ** 2 + 1
+            n, m, d = self._stages
+            count = n * d * d + n * m + 1
             shapes = ((1 + len(self._problem.widths),), (count,), (3, z.shape[1]))
             return Evaluation(*(np.full((lanes, *shape), np.nan) for shape in shapes))
-        kept = np.concatenate([line.blocks.reshape(lanes, -1), line.divergence[:, None]], axis=1)
+        slowest = np.linalg.norm(line.rate, axis=3).min(axis=(1, 2))
+        kept = [line.blocks.reshape(lanes, -1), line.divergence.reshape(lanes, -1), slowest[:, None]]
         sign = np.broadcast_to(bordered_sign(line, rows)[:, None], z.shape)
         slopes = np.stack([self.direction(step), self.direction(way), sign], axis=1)
-        return Evaluation(np.stack([line.residual, *gone], axis=1), kept, slopes)
+        return Evaluation(np.stack([line.residual, *gone], axis=1), np.concatenate(kept, axis=1), slopes)
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
         """The step and the direction, with the sign of the bordered determinant."""
@@ -243,13 +249,15 @@ class CollocationEquations(EquationsOfPaths):
         return ()
 
     def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
-        """Cycles that have become ones of half the duration or equilibria, are far away, or close the branch."""
+        """Cycles that have become ones of half the duration or equilibria, rest at one, are far or close the branch."""
         before, after = self.solution(now.z), self.solution(taken.z)
         with np.errstate(invalid="ignore"):
             far = np.abs(after.path.ends / self._problem.size).max(axis=(1, 2)) > _FARTHEST
             collapsed = _collapses(self._problem, before, after)
             closed = self._closes(before, after, core.norm(self.unit, taken.z - now.z))
-        endings = {COLLAPSED: collapsed, CLOSED: closed, UNBOUNDED: far}
+            extent = np.linalg.norm(np.ptp(after.path.ends, axis=1) / self._problem.size, axis=1)
+            rests = (taken.blocks[:, -1] <= _STILL * extent) & (not self._problem.clock)
+        endings = {COLLAPSED: collapsed, CLOSED: closed, UNBOUNDED: far, INFINITE_PERIOD: rests}
         beyond = {} if self._conditions is None else self._conditions.endings(after)
         return {**endings, **beyond}, np.any([collapsed, *beyond.values()], axis=0)
 
@@ -314,11 +322,10 @@ def invariants(problem: Problem, solution: BoundarySolution) -> Float[np.ndarray
 def _collapses(problem: Problem, now: BoundarySolution, taken: BoundarySolution) -> Bool[np.ndarray, " lanes"]:
     """Return whether cycles have on the way become ones of half their duration, or equilibria.
 
-    Beyond that the branch has the same cycles again, half a turn on.
+    Beyond that the branch has the same cycles again, half a turn on. States are those at the ends of intervals, which
+    are close where cycles move, however short a part of the duration that is.
     """
     gaps = []
-    for solution in (now, taken):
-        grid = np.tile(np.arange(_SAMPLED) / _SAMPLED, (len(solution.duration), 1))
-        states = values_at(solution.path, grid) / problem.size
-        gaps.append(states - np.roll(states, _SAMPLED // 2, 1))
+    for path in (now.path, taken.path):
+        gaps.append((path.ends[:, :-1] - values_at(path, (path.mesh[:, :-1] + 0.5) % 1.0)) / problem.size)
     return np.sum(gaps[0] * gaps[1], axis=(1, 2)) <= 0.0

@@ -18,15 +18,13 @@ from jaxnh.orbits.collocation.equations import (
     fixed,
     linearise,
 )
+from jaxnh.orbits.collocation.floquet import cycle_multipliers
 from jaxnh.orbits.collocation.newton import BoundaryOf, correct, on_adapted_mesh, put, take
 from jaxnh.orbits.collocation.paths import halved, on_mesh
-from jaxnh.orbits.multipliers import merged, multipliers
 
 _MOST = 6400  # intervals of a mesh
 _OF_MULTIPLIERS = 100.0
-_TINY = np.finfo(float).tiny  # multipliers below are zero
 _FLOOR = 4 * np.finfo(float).eps
-_NOTHING = 1e-12  # size of a multiplier beside one
 
 
 class CycleSolution(NamedTuple):
@@ -34,7 +32,8 @@ class CycleSolution(NamedTuple):
 
     Attributes:
         solution: orbits, with durations.
-        multipliers: Floquet multipliers, without the one along the flow if there is no clock, (lanes, e).
+        multipliers: Floquet multipliers, without the one along the flow if there is no clock, not numbers where the
+            mesh does not tell them, (lanes, e).
         error: of states at the ends of intervals, in sizes, (lanes,).
         duration_error: of the duration, (lanes,).
         multiplier_error: of each multiplier, (lanes, e).
@@ -72,43 +71,6 @@ def closure(problem: Problem, lift: Float[np.ndarray, "lanes d"]) -> BoundaryOf:
 def hold_parameters(line: NewtonSystem, lanes: Int[np.ndarray, " lanes"]) -> Sequence[Variation]:
     """The directions of all parameters, which are then known."""
     return [fixed(line, number) for number in range(line.particular.extra.shape[1] - 1)]
-
-
-def floquet_blocks(
-    problem: Problem, solution: BoundarySolution, blocks: Float[np.ndarray, "lanes n d d"]
-) -> Float[np.ndarray, "lanes n e e"]:
-    """Derivatives from the end of each interval to the next, in sizes; without a clock those across the flow."""
-    if problem.clock:
-        return blocks
-    lanes, n, d, _ = blocks.shape
-    values, ends = np.repeat(solution.values, n, axis=0), solution.path.ends[:, :-1].reshape(-1, d)
-    rate = (
-        np.asarray(problem.field(ends, np.zeros(lanes * n), values).rate).reshape(lanes, n, d, 1)
-        / problem.size[:, None]
-    )
-    across = np.linalg.qr(rate, mode="complete")[0][..., 1:]
-    return np.swapaxes(np.roll(across, -1, 1), -1, -2) @ blocks @ across
-
-
-def cycle_multipliers(
-    problem: Problem,
-    solution: BoundarySolution,
-    blocks: Float[np.ndarray, "lanes n d d"],
-    divergence: Float[np.ndarray, " lanes"],
-) -> tuple[Complex[np.ndarray, "lanes e"], Float[np.ndarray, "lanes e"]]:
-    """Multipliers, and their errors by Liouville's formula: the logarithms' sum is the integral of the divergence.
-
-    Intervals that are long for a fast rate change the sign of what they do to it, or stop its growth; the error is then
-    as large as what is missing. Of a multiplier that is nothing beside one, and may be below the smallest number, the
-    logarithm says nothing of the others: where too little decay is missing, the error is that multiplier's own.
-    """
-    values = multipliers(merged(floquet_blocks(problem, solution, blocks)))
-    sizes = np.abs(values)
-    with np.errstate(over="ignore"):
-        missing = divergence - np.sum(np.log(np.maximum(sizes, _TINY)), axis=1)
-        errors = sizes * np.abs(np.expm1(missing))[:, None]
-    own = (sizes <= _NOTHING) & (missing < 0.0)[:, None]
-    return values, np.where(own.any(axis=1, keepdims=True), np.where(own, sizes, 0.0), errors)
 
 
 def solve_cycles(

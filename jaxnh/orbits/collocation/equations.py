@@ -113,7 +113,7 @@ class NewtonSystem(NamedTuple):
         null: solutions without right-hand sides, 1 + q of them.
         bordered: the equations with what `null` are where the path begins as further rows.
         rate: dy/dτ of the path, in sizes, (lanes, n, m, d).
-        divergence: integral of the field's divergence over the path, (lanes,).
+        divergence: of the field at the Gauss points, times the duration, (lanes, n, m).
         residual: largest component of the equations, in sizes, (lanes,).
     """
 
@@ -122,7 +122,7 @@ class NewtonSystem(NamedTuple):
     null: Sequence[Variation]
     bordered: cyclic.Cyclic
     rate: Float[np.ndarray, "lanes n m d"]
-    divergence: Float[np.ndarray, " lanes"]
+    divergence: Float[np.ndarray, "lanes n m"]
     residual: Float[np.ndarray, " lanes"]
 
 
@@ -212,7 +212,7 @@ def linearise(problem: Problem, solution: BoundarySolution, boundary: BoundaryCo
         return Variation(y, (stages @ inside[:, :, None, :, None])[..., 0], x)
 
     directions = [variation(*direction, 0.0) for direction in null]
-    divergence = np.sum(path.measure * np.trace(at.jacobian, axis1=3, axis2=4), axis=(1, 2))
+    divergence = np.trace(at.jacobian, axis1=3, axis2=4)
     return NewtonSystem(blocks, variation(*least, 1.0), directions, bordered, at.rate, divergence, residual)
 
 

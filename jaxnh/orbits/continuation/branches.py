@@ -37,6 +37,7 @@ class Branch:
         residual: largest component of P(u_i) − u_{i+1} in sizes of the motion, (k,).
         ends: why it ends where it begins, and at its end, numbers in `paths.ENDS`. A collapsed one goes on to a point
             beyond.
+        errors: of the multipliers, (k, d), where they are known.
     """
 
     points: Float[np.ndarray, "k n d"]
@@ -46,6 +47,7 @@ class Branch:
     multipliers: Complex[np.ndarray, "k d"]
     residual: Float[np.ndarray, " k"]
     ends: tuple[int, int]
+    errors: Float[np.ndarray, "k d"] | None = None
 
     @property
     def period(self) -> int:

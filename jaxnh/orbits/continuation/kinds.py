@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family
@@ -22,6 +22,9 @@ KINDS = ("fold", "period_doubling", "neimark_sacker", "branch_point", "hopf", "g
 """Bifurcations by number."""
 
 FOLD, DOUBLING, NEIMARK_SACKER, BRANCH_POINT, HOPF, GRAZING = range(len(KINDS))
+
+STABILITIES = ("no", "yes", "undecided")
+"""Whether orbits attract, by number."""
 
 _MAPS, _FIELDS = (FOLD, DOUBLING, NEIMARK_SACKER, BRANCH_POINT), (FOLD, HOPF, BRANCH_POINT)
 
@@ -78,6 +81,17 @@ def eigenvalues(family: Family, orbits: CurveOrbits) -> Complex[np.ndarray, "lan
 def stable(family: Family, values: Complex[np.ndarray, "... d"]) -> np.ndarray:
     """Return whether orbits with these multipliers, or equilibria with these eigenvalues, attract."""
     return np.all(np.real(values) < 0.0 if family.field else np.abs(values) < 1.0, axis=-1)
+
+
+def stability(
+    family: Family, values: Complex[np.ndarray, "... d"], errors: Float[np.ndarray, "... d"] | None = None
+) -> Int[np.ndarray, ...]:
+    """Whether orbits attract, numbers in `STABILITIES`, with errors of the multipliers of a map where there are."""
+    if errors is None:
+        return stable(family, values).astype(int)
+    sizes = np.abs(values)
+    attracts, repels = np.all(sizes + errors < 1.0, axis=-1), np.any(sizes - errors > 1.0, axis=-1)
+    return np.where(attracts, 1, np.where(repels, 0, STABILITIES.index("undecided")))
 
 
 def _pairs(d: int) -> tuple[list[int], list[int]]:
