@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Crossing, Section, System, rates, reports
 from jaxnh.systems.flow import NOT_FINITE, Parameters
 from jaxnh.systems.state import State, is_finite
@@ -23,6 +24,36 @@ def points_at(
         return batch.system.chart.host_points(state)
     function = _points_of if np.ndim(jax.tree.leaves(state)[0]) > 1 else _point_of
     return np.array(lanes(function, (batch.system,), (state,), tile=tile))
+
+
+def first_points(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
+    """Section coordinates of every lane's start, or of its first crossing where there is a section."""
+    return first_places(batch, lanes)[0]
+
+
+def first_places(batch: LaneBatch, lanes: LaneRunner) -> tuple[Float[np.ndarray, "lanes d"], Int[np.ndarray, " lanes"]]:
+    """The points of `first_points`, and the status of lanes there."""
+    if batch.flow is batch.system:
+        return batch.chart.host_points(batch.start), statuses(batch, batch.start)
+    u, crossing = lanes(_first_crossing, (batch.strobe(),), batch.lanes, periods=1)
+    return np.asarray(u), statuses(batch, crossing)
+
+
+def points_of_starts(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "starts d"]:
+    """Return points that starts lead to Newton for orbits with: `first_points` of all lanes, and then others of them.
+
+    A motion comes to its section up to a whole turn after its start, and has left by then what repels. The others are
+    the points of the section that have the coordinates of the starts; not with constraints, which these may break.
+    """
+    first, flow = first_points(batch, lanes), batch.flow
+    if flow is batch.system or flow.chart.dimension > flow.exponents:
+        return first
+    return np.concatenate([first, points_at(batch, lanes, batch.start)])
+
+
+def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> tuple[Float[Array, " d"], State]:
+    crossing = strobe(state, p)
+    return strobe.chart.point(crossing), crossing
 
 
 def states_at(batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "lanes d"], tile: int | None = None) -> State:

@@ -13,8 +13,9 @@ import pytest
 import jaxnh
 from jaxnh.analyses.continuation.motion_units import motion_unit, search_unit, sizes_in_motion
 from jaxnh.analyses.continuation.seeds import random_wave
-from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, points_of_starts, survey_from_start
+from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, survey_from_start
 from jaxnh.analyses.random_starts import random_start_batch
+from jaxnh.analyses.section_points import points_of_starts
 from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order

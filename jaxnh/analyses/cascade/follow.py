@@ -19,9 +19,10 @@ from jaxtyping import Float
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade.doubled_orbit import doubled_lanes, long_doubled_orbit, window
 from jaxnh.analyses.cascade.plateaus import PeriodScan, Start, describe_periods, starts
-from jaxnh.analyses.periodic.attractor_survey import first_points, survey
+from jaxnh.analyses.periodic.attractor_survey import survey
 from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map, refined_maps
 from jaxnh.analyses.periodic.newton_on_lanes import section_distance
+from jaxnh.analyses.section_points import first_points
 from jaxnh.orbits.bifurcations.doubling_points import FEIGENBAUM, DoublingPoint
 
 TRANSIENT = 512

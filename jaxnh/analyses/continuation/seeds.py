@@ -10,12 +10,11 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation.family_tree import SeedOrbit
-from jaxnh.analyses.periodic.attractor_survey import points_of_starts
 from jaxnh.analyses.periodic.close_returns import WINDOW, nearest_returns, stretches
 from jaxnh.analyses.periodic.location import period_map
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.random_starts import Box, random_start_batch
-from jaxnh.analyses.section_points import at_rest, points_after, points_from
+from jaxnh.analyses.section_points import at_rest, points_after, points_from, points_of_starts
 from jaxnh.maps.iterate import section_map
 from jaxnh.orbits.recognition import equal_cycles, primitive_period
 from jaxnh.orbits.shooting import orbits_from_afar

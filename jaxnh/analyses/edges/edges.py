@@ -21,9 +21,9 @@ from jaxnh.analyses.edges.tables import OWN_NAMES, Edges, table, variables
 from jaxnh.analyses.edges.tracking import track_edges
 from jaxnh.analyses.manifolds.saddles import extent
 from jaxnh.analyses.options.basins import EdgesOptions
-from jaxnh.analyses.periodic.attractor_survey import first_points
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.random_starts import box_corners, check_box, draw_starts, random_start_batch
+from jaxnh.analyses.section_points import first_points
 from jaxnh.analyses.trajectories.states import section_attrs
 
 _USUAL = 64.0  # periods that a state takes to its attractor, for the expected work

@@ -13,10 +13,9 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.orbits.search import newton
-from jaxnh.analyses.periodic.attractor_survey import first_points
 from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import Box, random_start_batch
-from jaxnh.analyses.section_points import points_from
+from jaxnh.analyses.section_points import first_points, points_from
 from jaxnh.maps.family import Maps
 from jaxnh.orbits.recognition import equal_cycles
 from jaxnh.orbits.shooting import close_orbits

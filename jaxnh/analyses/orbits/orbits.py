@@ -23,11 +23,10 @@ from jaxnh.analyses.orbits.measurement import measure
 from jaxnh.analyses.orbits.search import WINDOWS, search, search_neighbours
 from jaxnh.analyses.orbits.symmetry import add_images, check_signs
 from jaxnh.analyses.orbits.tables import OWN_NAMES, LaneOrbits, counts_group, counts_table, orbits_group
-from jaxnh.analyses.periodic.attractor_survey import first_places
 from jaxnh.analyses.periodic.close_returns import WINDOW
 from jaxnh.analyses.periodic.location import price_of_orbits, refined_maps
 from jaxnh.analyses.random_starts import check_box
-from jaxnh.analyses.section_points import points_after, points_and_end, states_at, statuses
+from jaxnh.analyses.section_points import first_places, points_after, points_and_end, states_at, statuses
 
 _NEWTON = 60.0  # periods of a start of Newton for each return, the tangents of a period counted: a guess
 _ROUNDS = 8  # that are made of most lanes

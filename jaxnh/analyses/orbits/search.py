@@ -16,11 +16,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.options.orbits import OrbitsOptions
-from jaxnh.analyses.periodic.attractor_survey import motion_sizes, points_of_starts
+from jaxnh.analyses.periodic.attractor_survey import motion_sizes
 from jaxnh.analyses.periodic.close_returns import WINDOW, nearest_returns, stretches
 from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import random_start_batch
-from jaxnh.analyses.section_points import points_and_end, points_from, states_at
+from jaxnh.analyses.section_points import points_and_end, points_from, points_of_starts, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Section
 from jaxnh.orbits.recognition import Cycles, equal_cycles, merge_cycles, no_cycles, primitive_period

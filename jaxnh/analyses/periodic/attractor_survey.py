@@ -26,7 +26,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     section_distance,
 )
 from jaxnh.analyses.periodic.recurrences import CLOSE, Recurrence, recurrences, recurs_after
-from jaxnh.analyses.section_points import at_rest, points_and_end, points_at, states_at, statuses
+from jaxnh.analyses.section_points import at_rest, first_places, points_and_end, states_at, statuses
 from jaxnh.maps.family import Maps
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
@@ -330,36 +330,6 @@ def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, surv
         u[part], residual[part] = orbit.u[settled], orbit.residual[settled]
         multiplier[part], monodromy[part] = largest_multiplier(orbit.monodromy[settled]), orbit.monodromy[settled]
     return Survey(period, u, residual, multiplier, monodromy, status, size)
-
-
-def first_points(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
-    """Section coordinates of every lane's start, or of its first crossing where there is a section."""
-    return first_places(batch, lanes)[0]
-
-
-def first_places(batch: LaneBatch, lanes: LaneRunner) -> tuple[Float[np.ndarray, "lanes d"], Int[np.ndarray, " lanes"]]:
-    """The points of `first_points`, and the status of lanes there."""
-    if batch.flow is batch.system:
-        return batch.chart.host_points(batch.start), statuses(batch, batch.start)
-    u, crossing = lanes(_first_crossing, (batch.strobe(),), batch.lanes, periods=1)
-    return np.asarray(u), statuses(batch, crossing)
-
-
-def points_of_starts(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "starts d"]:
-    """Return points that starts lead to Newton for orbits with: `first_points` of all lanes, and then others of them.
-
-    A motion comes to its section up to a whole turn after its start, and has left by then what repels. The others are
-    the points of the section that have the coordinates of the starts; not with constraints, which these may break.
-    """
-    first, flow = first_points(batch, lanes), batch.flow
-    if flow is batch.system or flow.chart.dimension > flow.exponents:
-        return first
-    return np.concatenate([first, points_at(batch, lanes, batch.start)])
-
-
-def _first_crossing(strobe: ReturnMap, state: State, p: Parameters) -> tuple[Float[Array, " d"], State]:
-    crossing = strobe(state, p)
-    return strobe.chart.point(crossing), crossing
 
 
 def motion_sizes(
