@@ -159,7 +159,7 @@ def errors_of(kind, experiment, plan, lanes, numbers):
     for number in numbers:
         at = points(experiment, axes, (np.array([number]),))
         own = plan._replace(steps=steps_of(plan.steps, int(classes[number])))
-        batch = batch_of(at, own, "float64")
+        batch = batch_of(at, own, experiment)
         strobe, state = batch.strobe(), batch.start
         for periods in (0, 7, 53):
             state = lanes.iterate(strobe, periods, (state, dict(at.p)))
