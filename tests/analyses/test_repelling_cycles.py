@@ -5,6 +5,7 @@ Its cycles are r² = (1 ± √(1 + 4μ))/2: from μ = −1/4 on one repels and t
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -23,16 +24,6 @@ from tests.helpers.batches import batch_of
 from tests.helpers.kept_programs import session_of
 
 BOX = {"x": (0.2, 1.2)}
-HARD = """
-def system(mu=-0.1):
-    def rhs(state, t):
-        x, v = state
-        square = x * x + v * v
-        growth = mu + square - square * square
-        return growth * x - v, growth * v + x
-
-    return {"rhs": rhs, "coordinates": ("x", "v")}
-"""
 
 
 def hard(mu=-0.1):
@@ -43,6 +34,9 @@ def hard(mu=-0.1):
         return growth * x - v, growth * v + x
 
     return {"rhs": rhs, "coordinates": ("x", "v")}
+
+
+HARD = inspect.getsource(hard).replace("def hard", "def system")
 
 
 def radii(mu):

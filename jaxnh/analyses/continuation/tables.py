@@ -33,7 +33,7 @@ from jaxnh.systems.flow import Output
 
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
-    "multipliers_error", "begins", "ends", "points", "kind", "not_located", "not_located_kind", "criticality",
+    "begins", "ends", "points", "kind", "not_located", "not_located_kind", "criticality",
     "coefficient", "parameter", "duration",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
@@ -174,19 +174,12 @@ def _branches(
     periods = [_period(grown[part], branch.period) for part, branch in branches]
     values = table([_parts(branch.multipliers) for branch in every], np.nan, _dimension(grown), 2)
     attracts = [stability(grown[part].family, branch.multipliers, branch.errors) for part, branch in branches]
-    errors = [np.zeros((0, 0)) if branch.errors is None else branch.errors for branch in every]
-    told = dict[str, Entry]()
-    if any(branch.errors is not None for branch in every):
-        known = table([np.where(np.isfinite(each), each, np.nan) for each in errors], np.nan, _dimension(grown))
-        words = "error of each multiplier, from what the mesh leaves"
-        told["multipliers_error"] = variable((*dims, "multiplier"), known, words)
     residual = "largest component of P(u) − u, in sizes of the motion"
     return {
         axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
         "period": period_variable(("branch",), periods, iterate_units(system)),
         **orbit_coordinates(lanes, grown, [(part, branch.points) for part, branch in branches], table, dims),
         "multipliers": variable((*dims, "multiplier", "part"), values, _multiplier_words(grown)),
-        **told,
         "stable": flag(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", *STABILITIES), -1),
         "residual": variable(dims, table([branch.residual for branch in every]), residual),
         "begins": flag("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),

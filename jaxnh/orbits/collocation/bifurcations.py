@@ -152,8 +152,7 @@ def _locate(
     test: Callable[[CyclePoint], float],
 ) -> tuple[CyclePoint | None, float]:
     """The point between two of a branch where a test function is zero, on the halves of the mesh; and the error."""
-    path, scale = after.solution.path, abs(test(now)) + abs(test(after))
-    near = after.solution, after.solution._replace(path=on_mesh(path, halved(path.mesh)))
+    near, scale = (after.solution, _on_halves(after.solution)), abs(test(now)) + abs(test(after))
     coarse, fine = (_Chord(CollocationEquations(problem, mesh, lift), now, after, test) for mesh in near)
     known = {0.0: test(now), 1.0: test(after)}
     try:
@@ -177,13 +176,16 @@ def _changes_on_halves(
 
     Where a parameter hardly moves, as along canards, what a mesh leaves of its error tells the sign of its rate.
     """
-    solution = after.solution
-    near = solution._replace(path=on_mesh(solution.path, halved(solution.path.mesh)))
-    chord = _Chord(CollocationEquations(problem, near, lift), now, after, test)
+    chord = _Chord(CollocationEquations(problem, _on_halves(after.solution), lift), now, after, test)
     try:
         return _differ(chord.test(0.0), chord.test(1.0))
     except _NoPointError:
         return True
+
+
+def _on_halves(solution: BoundarySolution) -> BoundarySolution:
+    """The solution on the halves of its intervals."""
+    return solution._replace(path=on_mesh(solution.path, halved(solution.path.mesh)))
 
 
 def _zero_beside(test: Callable[[float], float], share: float) -> float:
