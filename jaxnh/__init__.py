@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import TransportOptions as Transport
     from jaxnh.analyses.options import VerdictOptions as Verdict
     from jaxnh.analyses.options import WindowsOptions as Windows
+    from jaxnh.analyses.options.orbits import Continuation
     from jaxnh.engine.experiment import Experiment, load
     from jaxnh.engine.gradient import gradient
     from jaxnh.engine.run_experiment import run
@@ -86,6 +87,7 @@ def citation() -> str:
 
 
 _HOMES = {
+    "Continuation": "analyses.options.orbits",
     "Experiment": "engine.experiment",
     "FreeParticle": "systems.free_particle",
     "IsokineticParticle": "systems.particle",
@@ -126,6 +128,7 @@ __all__ = [
     "BusyError",
     "Chaos01",
     "ConfigError",
+    "Continuation",
     "Covariant",
     "Curves",
     "DamagedError",
