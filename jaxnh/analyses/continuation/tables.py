@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -83,7 +83,10 @@ def datasets(
     }
     lost = sum(len(tree.lost) for tree in trees)
     if (timed := grown[0].durations) is not None:
-        branches["duration"] = _durations(timed, [rank[0, k] for k in range(len(timed))], branches, batch)
+        of_branch = {rank[0, k]: duration for k, duration in enumerate(timed)}  # of equilibria there is none
+        whole = padded([of_branch.get(k, ()) for k in range(len(order))], branches[axis.name][1].shape[1:])
+        words = "time that the cycle takes"
+        branches["duration"] = variable(("branch", "point"), whole, words, batch.flow.labels.units["t"])
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
     signs = np.full(branches[axis.name][1].shape, -1)
     for family, tree in enumerate(trees):
@@ -117,17 +120,6 @@ def ordered_bifurcations(grown: Sequence[FollowedBranches]) -> list[tuple[int, B
     """All bifurcations in the order of the parameter, each after the number of its family."""
     every = [(number, point) for number, part in enumerate(grown) for point in part.tree.bifurcations]
     return sorted(every, key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
-
-
-def _durations(
-    timed: Sequence[np.ndarray], places: Sequence[int], branches: Mapping[str, Entry], batch: LaneBatch
-) -> Entry:
-    """Durations of cycles over branches and their points; of equilibria there is none."""
-    dims, like, _ = branches[batch.first_axis.name]
-    whole = np.full(like.shape, np.nan)
-    for place, duration in zip(places, timed, strict=True):
-        whole[place, : len(duration)] = duration
-    return variable(dims, whole, "time that the cycle takes", batch.flow.labels.units["t"])
 
 
 def _period(part: FollowedBranches, points: int) -> int:

@@ -78,8 +78,6 @@ def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[Lane
     batch, dims = parts[0].batch, (LANE, "orbit")
     parts_of = [real_and_imaginary(row.part.measured[row.n].multipliers) for row in rows]
     errors = [row.part.measured[row.n].multipliers_error for row in rows]
-    if not rows:
-        parts_of, errors = [np.zeros((0, batch.chart.dimension, 2))] * 0, []
     time, unit = {"units": batch.flow.labels.units["t"]}, iterate_units(batch.system)
     period = whole([np.full(len(row.lane), row.n) for row in rows], 0).astype(np.int32)
     words = "primitive period of the orbit, in returns"
