@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from jaxnh.analyses.options import ReversalOptions as Reversal
     from jaxnh.analyses.options import RotationOptions as Rotation
     from jaxnh.analyses.options import ToriOptions as Tori
+    from jaxnh.analyses.options import TorusBranchesOptions as TorusBranches
     from jaxnh.analyses.options import TransientsOptions as Transients
     from jaxnh.analyses.options import TransportOptions as Transport
     from jaxnh.analyses.options import VerdictOptions as Verdict
@@ -108,7 +109,7 @@ def __getattr__(name: str) -> object:
     if name in _HOMES:
         return getattr(import_module(f"jaxnh.{_HOMES[name]}"), name)
     if name in __all__:  # options of an analysis, by its name
-        return import_module("jaxnh.analyses.options").OPTIONS[name.lower()]
+        return getattr(import_module("jaxnh.analyses.options"), f"{name}Options")
     raise AttributeError(f"module jaxnh has no attribute {name}")
 
 
@@ -154,6 +155,7 @@ __all__ = [
     "Session",
     "Stopped",
     "Tori",
+    "TorusBranches",
     "Transients",
     "Transport",
     "UserFileError",

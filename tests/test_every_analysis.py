@@ -72,6 +72,7 @@ OPTIONS = {
     },
     "rotation": {"transient": 64, "periods": 128},
     "tori": {"transient": 64, "periods": 128},
+    "torus_branches": {"transient": 64, "periods": 128, **LONG_STEPS},
     "transport": {"transient": 128, "periods": 256, "path": ("u",)},
     "manifolds": {
         "box": {"u": (-0.5, 0.5)},
@@ -288,6 +289,18 @@ def words(*expected):
         assert {names[k] for k in lanes_of(data, "kind")[0]} <= set(expected)
 
     return check
+
+
+def no_torus(data, _):
+    """No orbit has a Neimark–Sacker bifurcation, and no motion turns: what was looked at is said."""
+    assert data.sizes["torus_branch"] == 0
+    assert "there is no torus to follow" in data.attrs["warnings"]
+
+
+def tori_at_sea(data, _):
+    """Where volumes are kept a curve is one of a family, and neutral."""
+    names = data["kind"].attrs["flag_meanings"].split()
+    assert {names[k] for k in np.unique(data["kind"])} <= {"none", "neutral", "undecided"}
 
 
 def rotation(expected=None):
@@ -627,6 +640,7 @@ MOEBIUS = {
     "transients": nothing_leaves,
     "rotation": rotation(moebius_periods),
     "tori": words("none"),
+    "torus_branches": no_torus,
     "transport": stays,
     "manifolds": saddles(moebius_saddle),
     "edges": no_edges(1, "one_attractor"),
@@ -683,6 +697,7 @@ def particle(names, rates=paper_equations.at_speed):
         "transients": nothing_leaves,
         "rotation": rotation(lambda values: np.where(values["b"] > first_doubling(), 1, 2)),
         "tori": words("none"),
+        "torus_branches": no_torus,
         "transport": stays,
         "manifolds": manifolds_of_saddles,
         "edges": no_edges(1, "one_attractor"),
@@ -771,6 +786,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": rotation(),
             "tori": words("none"),
+            "torus_branches": no_torus,
             "transport": stays,
             "manifolds": no_saddle,
             "edges": no_edges(1, "one_attractor"),
@@ -809,6 +825,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": rotation(),
             "tori": words("none"),
+            "torus_branches": no_torus,
             "transport": stays,
             "manifolds": no_saddle,
             "edges": no_edges(1, "one_attractor"),
@@ -854,6 +871,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": rotation(),
             "tori": "a curve on a map of one direction has nothing normal to it",
+            "torus_branches": "a curve on a map of one direction has nothing normal to it",
             "transport": stays,
             "manifolds": "manifolds are curves among other directions of the map, and it has one alone",
             "edges": no_edges(1, "one_attractor"),
@@ -897,6 +915,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": rotation(),
             "tori": words("none"),
+            "torus_branches": no_torus,
             "transport": stays,
             "manifolds": manifolds_of_saddles,
             "edges": no_edges(1, "one_attractor"),
@@ -932,6 +951,7 @@ KINDS = {
             "transients": nothing_leaves,
             "rotation": words("unconverged", "no_rotation", "unlocked"),
             "tori": words("none", "neutral", "undecided"),
+            "torus_branches": tori_at_sea,
             "transport": wanders,
             "manifolds": manifolds_of_saddles,
             "edges": no_edges_at_sea,
@@ -951,7 +971,7 @@ KINDS = {
         | {
             "doubling": doubling("mu", lambda data: data["nu"].to_numpy()),
             "windows": "windows are looked for along one axis; leave out nu",
-            "branches": "branches are followed along one axis; leave out nu",
+            **dict.fromkeys(("branches", "torus_branches"), "branches are followed along one axis; leave out nu"),
             "curves": straight_curves,
             "atlas": linked_curve,
         },
@@ -966,7 +986,7 @@ KINDS = {
             "basins": one_attractor,
             "doubling": none_found,
             "windows": "windows are looked for along one axis; leave out mu",
-            "branches": "branches are followed along one axis; leave out mu",
+            **dict.fromkeys(("branches", "torus_branches"), "branches are followed along one axis; leave out mu"),
             "curves": no_curve,
             "atlas": nothing_along_rows,
         },
@@ -993,7 +1013,7 @@ KINDS = {
             ),
             "doubling": "u is a coordinate of the start state; put a parameter such as nu first",
             "windows": "u is a coordinate of the start state",
-            "branches": "u is a coordinate of the start state",
+            **dict.fromkeys(("branches", "torus_branches"), "u is a coordinate of the start state"),
             "curves": ONE_PARAMETER.format("u"),
             "atlas": ONE_PARAMETER.format("u"),
             "homoclinic": NO_EQUILIBRIA,

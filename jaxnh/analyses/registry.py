@@ -26,6 +26,7 @@ _HOMES = {
     "transients": "transients.transients",
     "rotation": "rotation.rotation",
     "tori": "tori.tori",
+    "torus_branches": "tori.torus_branches",
     "transport": "transport.transport",
     "manifolds": "manifolds.manifolds",
     "edges": "edges.edges",

@@ -146,6 +146,16 @@ _GROUPS: Mapping[str, tuple[tuple[str, ...], Callable[[xr.Dataset], _Description
         ("repeller_exponents",),
         lambda _: _Description("curves", ("distance", "overlap"), (), "distance and overlap", "0 1"),
     ),
+    "torus_branches": (
+        ("torus_branch", "torus_point"),
+        lambda data: _Description(
+            "torus_branches",
+            ("rotation",),
+            ("torus_branch", "torus_point"),
+            parameters=tuple(_names_over(data, "torus_branch", "torus_point")[:1]),
+        ),
+    ),
+    "torus_curves": (("torus_branch", "theta"), None),
     "tori": (("growth", "harmonics"), lambda data: _plane(data, "trajectories", "theta")),
     "transport": (("diffusion_kind",), _transport),
     "rotation": (

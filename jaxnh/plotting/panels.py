@@ -22,6 +22,7 @@ from jaxnh.plotting.phase_response import phase_responses
 from jaxnh.plotting.pixels import Colourer, Pixels, flag_pixels, integer_pixels, number_pixels
 from jaxnh.plotting.planes import points, trajectories
 from jaxnh.plotting.surfaces import surfaces
+from jaxnh.plotting.torus_branches import torus_branches
 from jaxnh.plotting.windows import windows
 
 
@@ -58,6 +59,7 @@ PANELS: Mapping[str, Kind] = {
     "basins": Kind(integers, 2.0, "group", basins_chart, "shares", basin_pixels),
     "shares": Kind(shares, 2.4, "group"),
     "branches": Kind(branches, 3.6, "group"),
+    "torus_branches": Kind(torus_branches, 2.7, "group"),
     "marks": Kind(bifurcations, 2.8, "group"),
     "bifurcation_curves": Kind(bifurcation_curves, 3.6, "group"),
     "special_points": Kind(special_points, 2.8, "group"),

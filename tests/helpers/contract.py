@@ -58,7 +58,7 @@ _ATTRIBUTES = {
     "within",
 }
 """Names of attributes of groups, whatever the analysis: no variable has one of these names."""
-_OF_PARAMETER = {"first", "last", "begin", "end", "limit", "crisis", "doubling", "spacing", "tangency"}
+_OF_PARAMETER = {"first", "last", "begin", "birth", "end", "limit", "crisis", "doubling", "spacing", "tangency"}
 WITHOUT_LANES = (
     "doubling",
     "windows",
@@ -71,6 +71,8 @@ WITHOUT_LANES = (
     "connecting_orbits",
     "atlas",
     "curve_orbits",
+    "torus_branches",
+    "torus_curves",
 )
 
 

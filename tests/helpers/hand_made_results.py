@@ -244,6 +244,23 @@ def cusp_point():
     return xr.Dataset(variables, attrs={**curves.attrs, "panel": "special_points"})
 
 
+def torus_rows():
+    """Two branches of tori: from a bifurcation at 0 around a fold, and a shorter one from a lane."""
+    flags = {"flag_values": np.arange(3), "flag_meanings": "attracting repelling none"}
+    dims, square = ("torus_branch", "torus_point"), np.linspace(0.0, 1.0, 9)
+    along = np.stack([square**2 - square, np.where(square < 0.4, square, np.nan)])
+    turns = np.stack([0.2 + 0.3 * square, np.where(square < 0.4, 0.7 - 0.1 * square, np.nan)])
+    kind = np.stack([np.where(square < 0.5, 1, 0), np.where(square < 0.4, 0, 2)])
+    variables = {
+        "b": (dims, along, "coupling b", "1"),
+        "rotation": (dims, turns, "rotation number on the curve", "1"),
+        "kind": (dims, kind, "the invariant curve", "1", flags),
+        "birth": (("torus_branch",), np.array([0.0, np.nan]), "coupling b at the birth", "1"),
+        "period": (("torus_branch",), np.array([1, 2]), "period of the orbit", "1"),
+    }
+    return dataset({}, variables, panel="torus_branches", panel_variables="rotation", along="b")
+
+
 def window_rows():
     """Three windows of the logistic map: period 3 with all that is known, 5 from a fold on, 1 from beyond the range."""
     flags = {

@@ -27,6 +27,7 @@ from tests.helpers.hand_made_results import (
     radial_responses,
     saddle_surface,
     states,
+    torus_rows,
     tree,
     verdicts,
     window_rows,
@@ -49,6 +50,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
     bifurcation_curves,
     special_points,
     windows,
+    torus_branches,
     manifolds,
     surfaces,
     phase_responses,
@@ -69,6 +71,7 @@ MANY, FEW = np.linspace(6.0, 0.1, 500), np.array([5.8, 2.5, 4.1, 5.3])
         "bifurcation_curves",
         "special_points",
         "windows",
+        "torus_branches",
         "manifolds",
         "surfaces",
         "phase_responses",
@@ -102,6 +105,7 @@ DRAWINGS = {
     "bifurcation_curves": lambda ax: bifurcation_curves(cusp_curves(), ax),
     "special_points": lambda ax: special_points(cusp_point(), ax),
     "windows": lambda ax: windows(window_rows(), ax),
+    "torus_branches": lambda ax: torus_branches(torus_rows(), ax),
     "manifolds": lambda ax: manifolds(cat_manifolds(), ax),
     "surfaces": lambda ax: surfaces(saddle_surface(), ax),
     "phase_responses": lambda ax: phase_responses(radial_responses(FEW), ax, lane=1),
@@ -532,6 +536,20 @@ def test_branches_over_a_parameter_named_t():
 
 
 # ---- windows
+
+
+def test_branches_of_tori():
+    """Solid where they attract and dashed elsewhere, without a gap between, and a triangle where one is born."""
+    ax = torus_branches(torus_rows())
+    solid, dashed, birth, *other = ax.lines
+    assert (solid.get_linestyle(), dashed.get_linestyle(), birth.get_marker()) == ("-", "--", "^")
+    assert (np.nanmin(solid.get_ydata()), np.nanmax(dashed.get_ydata())) == pytest.approx((0.35, 0.35))
+    assert birth.get_xydata().tolist() == [[0.0, 0.2]]
+    assert len(other) == 1  # the second attracts all along, and begins at a lane
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == [
+        "of an orbit of period 1",
+        "of an orbit of period 2",
+    ]
 
 
 def test_windows_are_bars_of_their_period():

@@ -99,8 +99,8 @@ def cycles_at_hopf_points(followed: FollowedBranches, family: Family, section: S
     if not hopf:
         return []
     plane = section_plane(section)
-    u, value = np.array([point.points[0] for point in hopf]), np.array([point.value for point in hopf])
-    cycles = first_cycles(family, hopf_points(followed.family, u, value), plane, AMPLITUDES)
+    points, value = np.array([point.points for point in hopf]), np.array([point.value for point in hopf])
+    cycles = first_cycles(family, hopf_points(followed.family, points, value), plane, AMPLITUDES)
     return [SeedOrbit(cycle.points[0], float(cycle.value[0])) for cycle in cycles]
 
 

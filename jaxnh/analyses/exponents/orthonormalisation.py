@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents.tangent_growth import LARGEST_LOSS, TangentState, average, begin, cut_period, split_stack
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.state import is_finite
 
 _LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
@@ -60,24 +62,32 @@ def refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState,
 
     Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
     its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
-    chaos parts do not count.
+    chaos parts do not count; of a processed method period by period, as between its ends are states of another map.
     """
     if not batch.target:
         return 1
     few, room = _pilots(batch), cut_period(batch, 1)
     p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * batch.error_estimate)
     periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
+
+    def grown(now: TangentState, pieces: Sequence[ReturnMap]) -> tuple[TangentState, np.ndarray, np.ndarray]:
+        """Growth over some pieces, and that of their moduli."""
+        total, moduli = np.zeros((2, 1, 1))
+        for piece in pieces:
+            now, logs = average(lanes, piece, now, p, 1)
+            total, moduli = total + logs, moduli + np.abs(logs)
+        return now, total, moduli
+
     while refinement < _MOST_REFINED:
         pieces = (refinement * parts, 2 * refinement * parts)
         coarse, fine = (split_stack(cut_period(batch, n, n // parts), room) for n in pieces)
         now, apart, whole = growth, *np.zeros((2, 1, 1))
-        for i in range(len(coarse) * periods):
-            i %= len(coarse)
-            _, once = average(lanes, coarse[i], now, p, 1)
-            now, first = average(lanes, fine[2 * i], now, p, 1)
-            now, second = average(lanes, fine[2 * i + 1], now, p, 1)
+        span = len(coarse) if batch.solver.processor[1] else 1
+        for i in list(range(0, len(coarse), span)) * periods:
+            _, once, _ = grown(now, coarse[i : i + span])
+            now, twice, moduli = grown(now, fine[2 * i : 2 * (i + span)])
             with np.errstate(invalid="ignore"):  # of a tangent that has vanished in both
-                apart, whole = apart + once - first - second, whole + np.abs(first + second)
+                apart, whole = apart + once - twice, whole + moduli
         apart, whole = (np.abs(values[:, : len(growth.logs)]) / periods for values in (apart, whole))
         short = apart > enough * np.maximum(whole, 1.0)
         if not np.any(short & np.isfinite(apart)):

@@ -1,5 +1,7 @@
 """Options of the analyses, by the key of each in YAML: modules that import no JAX, so that a config is read at once."""
 
+import re
+
 from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.options.basins import BasinsOptions, EdgesOptions
 from jaxnh.analyses.options.chaos import (
@@ -9,6 +11,7 @@ from jaxnh.analyses.options.chaos import (
     ReversalOptions,
     RotationOptions,
     ToriOptions,
+    TorusBranchesOptions,
     TransientsOptions,
     VerdictOptions,
 )
@@ -26,7 +29,7 @@ from jaxnh.analyses.options.orbits import (
 from jaxnh.analyses.options.trajectories import DiagramOptions, PoincareOptions, PortraitOptions, TransportOptions
 
 OPTIONS: dict[str, type[Options]] = {
-    options.__name__.removesuffix("Options").lower(): options
+    re.sub("(?<!^)(?=[A-Z])", "_", options.__name__.removesuffix("Options")).lower(): options
     for options in (
         DoublingOptions,
         LyapunovOptions,
@@ -46,6 +49,7 @@ OPTIONS: dict[str, type[Options]] = {
         TransientsOptions,
         RotationOptions,
         ToriOptions,
+        TorusBranchesOptions,
         TransportOptions,
         ManifoldsOptions,
         EdgesOptions,

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from jaxnh.analyses.options.base import BLOCKS, Box, Extra, Options, Side, check_sides, rule
+from jaxnh.analyses.options.orbits import Continuation
 
 Plane = Annotated[
     tuple[str, str] | None,
@@ -76,6 +77,30 @@ class ToriOptions(Options):
     max_denominator: int = Field(
         default=64, ge=1, le=1024, description="Largest denominator of fractions that a motion may be locked to"
     )
+    plane: Plane = None
+    centre: Centre = None
+
+
+class TorusBranchesOptions(Continuation):
+    """Options of `torus_branches`."""
+
+    newton: ClassVar[bool] = True
+    untimed: ClassVar[bool] = True
+
+    max_period: int = Field(
+        default=1, ge=1, le=16, description="Largest period of orbits whose Neimark–Sacker bifurcations begin tori"
+    )
+    transient: int = Field(default=512, ge=1, description="Periods before lanes are looked at")
+    periods: int = Field(default=1024, ge=128, description="Points that the curve of a lane's own motion is made of")
+    harmonics: int = Field(default=128, ge=16, le=512, description="Largest number of harmonics of a curve")
+    points: int = Field(default=64, ge=16, le=4096, description="Points of each curve that are kept")
+    max_denominator: int = Field(
+        default=64, ge=1, le=1024, description="Largest denominator of fractions that a motion may be locked to"
+    )
+    ds_max: float = Field(
+        default=0.05, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"
+    )
+    max_steps: int = Field(default=200, ge=2, description="Tori of a branch to either side of its first, at most")
     plane: Plane = None
     centre: Centre = None
 

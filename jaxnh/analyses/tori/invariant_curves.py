@@ -54,17 +54,25 @@ class InvariantCurve:
     @property
     def coefficients(self) -> Complex[np.ndarray, "m d"]:
         """Fourier coefficients of the periodic part, of harmonics 0 to m."""
-        return np.fft.rfft(self._periodic, axis=0) / len(self.points)
+        return np.fft.rfft(self.periodic, axis=0) / len(self.points)
 
     @property
     def size(self) -> Float[np.ndarray, " d"]:
         """Size in each coordinate: 1 where the curve winds, else half its width; of one that rests, the largest."""
-        width = 0.5 * np.ptp(self._periodic, axis=0)
+        width = 0.5 * np.ptp(self.periodic, axis=0)
         largest = max(np.max(width), _TINY)
         return np.where(self.winding != 0, 1.0, np.where(width > 1e-9 * largest, width, largest))
 
+    @classmethod
+    def of_periodic(
+        cls, periodic: Float[np.ndarray, "N d"], winding: Int[np.ndarray, " d"], rotation: float
+    ) -> InvariantCurve:
+        """Return the curve of what is left of its points without the winding."""
+        return cls(periodic + _TURN * _nodes(len(periodic))[:, None] * winding, winding, rotation)
+
     @property
-    def _periodic(self) -> Float[np.ndarray, "N d"]:
+    def periodic(self) -> Float[np.ndarray, "N d"]:
+        """The points without the winding, (N, d)."""
         return self.points - _TURN * _nodes(len(self.points))[:, None] * self.winding
 
     def at(self, theta: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points d"]:
@@ -158,18 +166,20 @@ def solve_curves(
     current = {lane: curve.with_harmonics(max(_FEWEST, curve.harmonics)) for lane, curve in curves.items()}
     while current:
         rested = _come_to_rest(images, current, wrap)
-        checked = _between_nodes(images, rested, error, wrap)
+        checked = qualities(images, {k: curve for k, (curve, at_rest) in rested.items() if at_rest}, error, wrap)
+        checked |= {lane: (curve, _unknown(curve)) for lane, (curve, at_rest) in rested.items() if not at_rest}
         current = {}
         for lane, (curve, quality) in checked.items():
             m = curve.harmonics
-            if quality.converged and not _resolved(curve) and 2 * m <= most:
+            if quality.converged and not is_resolved(curve) and 2 * m <= most:
                 current[lane] = curve.with_harmonics(2 * m)
             else:
-                solved[lane] = curve, quality._replace(converged=quality.converged and _resolved(curve))
+                solved[lane] = curve, quality._replace(converged=quality.converged and is_resolved(curve))
     return solved
 
 
-def _resolved(curve: InvariantCurve) -> bool:
+def is_resolved(curve: InvariantCurve) -> bool:
+    """Return whether the last harmonics of a curve are rounding."""
     last = np.abs(curve.coefficients[-max(2, curve.harmonics // 4) :])
     return bool(np.max(last / curve.size) <= _RESOLVED)
 
@@ -198,7 +208,7 @@ def _come_to_rest(
         going: dict[int, InvariantCurve] = {}
         for lane, (image, matrices) in _asked(images, curves, 0.0).items():
             curve, last = curves[lane], length[lane]
-            missing, matrix = _system(curve, image, matrices, wrap)
+            missing, matrix = invariance_system(curve, image, matrices, wrap)
             if not (np.isfinite(missing).all() and np.isfinite(matrix).all()):
                 ended[lane] = curve, False
                 continue
@@ -219,10 +229,16 @@ def _come_to_rest(
     return ended | {lane: (curve, False) for lane, curve in curves.items()}
 
 
-def _system(
+def invariance_system(
     curve: InvariantCurve, image: Float[np.ndarray, "N d"], matrices: Float[np.ndarray, "N d d"], wrap: Wrap
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n n"]]:
-    """Return minus the residual and Newton's matrix, of points in sizes of the curve and ρ; the phase is last."""
+    """Return minus the residual and Newton's matrix, of points in sizes of the curve and ρ; the phase is last.
+
+    Args:
+        curve: the iterate.
+        image, matrices: of the map and its derivative at the nodes.
+        wrap: of differences of section coordinates.
+    """
     count, d = curve.points.shape
     size, nodes = curve.size, _nodes(count)
     there = nodes + curve.rotation
@@ -253,22 +269,26 @@ def _dirichlet(x: Float[np.ndarray, ...], count: int) -> Float[np.ndarray, ...]:
     return np.where(np.abs(sine) < 1e-14, 1.0, value)
 
 
-def _between_nodes(
-    images: Images, rested: dict[int, tuple[InvariantCurve, bool]], error: Float[np.ndarray, " d"] | float, wrap: Wrap
+def qualities(
+    images: Images, curves: dict[int, InvariantCurve], error: Float[np.ndarray, " d"] | float, wrap: Wrap
 ) -> dict[int, tuple[InvariantCurve, CurveQuality]]:
-    """Return the curves with their quality, from the residual half-way between the nodes."""
-    curves = {lane: curve for lane, (curve, at_rest) in rested.items() if at_rest}
-    checked: dict[int, tuple[InvariantCurve, CurveQuality]] = {}
-    if curves:
-        nodes, between = _asked(images, curves, 0.0), _asked(images, curves, 0.5)
-        for lane, curve in curves.items():
-            checked[lane] = curve, _quality(curve, *nodes[lane], between[lane][0], error, wrap)
-    for lane, (curve, at_rest) in rested.items():
-        if not at_rest:
-            count, d = curve.points.shape
-            unknown = CurveQuality(False, np.nan, np.nan, np.nan, np.full((count, d, d), np.nan))
-            checked[lane] = curve, unknown
-    return checked
+    """Return curves that are solutions with their quality, from the residual half-way between the nodes.
+
+    Args:
+        images, error, wrap: as of `solve_curves`.
+        curves: the curves, by the number of the lane.
+    """
+    if not curves:
+        return {}
+    nodes, between = _asked(images, curves, 0.0), _asked(images, curves, 0.5)
+    return {
+        lane: (curve, _quality(curve, *nodes[lane], between[lane][0], error, wrap)) for lane, curve in curves.items()
+    }
+
+
+def _unknown(curve: InvariantCurve) -> CurveQuality:
+    count, d = curve.points.shape
+    return CurveQuality(False, np.nan, np.nan, np.nan, np.full((count, d, d), np.nan))
 
 
 def _quality(
@@ -279,7 +299,7 @@ def _quality(
     error: Float[np.ndarray, " d"] | float,
     wrap: Wrap,
 ) -> CurveQuality:
-    missing, matrix = _system(curve, image, matrices, wrap)
+    missing, matrix = invariance_system(curve, image, matrices, wrap)
     count, size = len(curve.points), curve.size
     halfway = _nodes(count) + 0.5 / count
     between = wrap(curve.at(halfway + curve.rotation) - image_between) / size

@@ -1,4 +1,4 @@
-"""Small cycles at Hopf points of equilibria, by the normal form: where they cross a section. Host code.
+"""Small cycles at Hopf points of equilibria, by the normal form: where they cross a section; and small tori. Host code.
 
 With the critical vector q (A q = iω q, of length one in sizes), the cubic coefficient s (`normal_forms`) and the rate
 α′ of the eigenvalues' real part over the parameter λ, the cycles of amplitude r are
@@ -6,7 +6,8 @@ With the critical vector q (A q = iω q, of length one in sizes), the cubic coef
     u = u₀(λ) + 2 r Re(q e^{iθ}) + O(r²),    λ = λ₀ − (s/α′) r² + O(r⁴)
 
 (Kuznetsov, Elements of Applied Bifurcation Theory, 2004, 3.5): where the equilibrium is unstable if s is negative, and
-where it is stable if s is positive.
+where it is stable if s is positive. At a Neimark–Sacker point of a map the invariant curves are the same, with the
+logarithm of the multipliers' modulus in place of the real part (4.7), and θ advances by the argument of the multiplier.
 """
 
 from __future__ import annotations
@@ -21,21 +22,22 @@ from jaxnh.orbits.bifurcations.location import critical
 from jaxnh.orbits.bifurcations.normal_forms import cubic
 from jaxnh.orbits.continuation.arclength import Family, PathVector, along_parameter, correct
 from jaxnh.orbits.continuation.core import FINE
-from jaxnh.orbits.continuation.kinds import HOPF, eigenvalues
+from jaxnh.orbits.continuation.kinds import HOPF, NEIMARK_SACKER, eigenvalues
 
 _SHIFT = 1e-4  # widths of the range: rates over the parameter are wrong by its square
 _INSIDE = 0.9  # of a cycle's extent, that the section is within
 
 
 class HopfPoint(NamedTuple):
-    """A Hopf point and the cycles that it begins.
+    """A Hopf point and the cycles that it begins; or a Neimark–Sacker point and its invariant curves.
 
     Attributes:
         value: λ₀.
-        u: the equilibrium, (d,).
+        u: the equilibrium, or the first point of the orbit, (d,).
         drift: du₀/dλ, (d,).
         vector: q, (d,).
         bend: −s/α′, of the parameter in the square of the amplitude.
+        turn: of a multiplier, its argument, in turns.
     """
 
     value: float
@@ -43,6 +45,7 @@ class HopfPoint(NamedTuple):
     drift: Float[np.ndarray, " d"]
     vector: Complex[np.ndarray, " d"]
     bend: float
+    turn: float
 
 
 class SectionPlane(NamedTuple):
@@ -61,22 +64,29 @@ class SectionPlane(NamedTuple):
     number: int
 
 
-def hopf_points(family: Family, u: Float[np.ndarray, "some d"], value: Float[np.ndarray, " some"]) -> list[HopfPoint]:
-    """The normal forms at Hopf points of a family of equilibria; those where it is not known are left out."""
-    some = len(u)
+def hopf_points(
+    family: Family, points: Float[np.ndarray, "some n d"], value: Float[np.ndarray, " some"]
+) -> list[HopfPoint]:
+    """The normal forms at Hopf points of equilibria, or Neimark–Sacker points of orbits of a map.
+
+    Those where it is not known are left out.
+    """
+    some, n, _ = points.shape
     shift = _SHIFT * family.width
-    across = along_parameter(family, some, 1)
-    at, before, after = (correct(family, u[:, None], value + s, across, FINE) for s in (0.0, -shift, shift))
+    across = along_parameter(family, some, n)
+    at, before, after = (correct(family, points, value + s, across, FINE) for s in (0.0, -shift, shift))
     with np.errstate(invalid="ignore", divide="ignore"):
-        real = [np.real(critical(family, eigenvalues(family, orbits))) for orbits in (before, after)]
-        rate = (real[1] - real[0]) / (2.0 * shift)
+        nearest = [critical(family, eigenvalues(family, orbits)) for orbits in (before, at, after)]
+        grown = [np.real(each) if family.field else np.log(np.abs(each)) for each in nearest]
+        rate = (grown[2] - grown[0]) / (2.0 * shift)
         drift = (after.points - before.points)[:, 0] / (2.0 * shift)
-        normal = cubic(family, at, np.full(some, HOPF))
+        normal = cubic(family, at, np.full(some, HOPF if family.field else NEIMARK_SACKER))
         bend = -normal.coefficient / rate
-    vectors = normal.vectors[:, 0] * family.size
+    vectors, turn = normal.vectors[:, 0] * family.size, np.angle(nearest[1]) / (2.0 * np.pi)
     known = at.converged & before.converged & after.converged & np.isfinite(bend) & (np.abs(vectors).max(axis=1) > 0.0)
     return [
-        HopfPoint(float(value[k]), at.points[k, 0], drift[k], vectors[k], float(bend[k])) for k in np.flatnonzero(known)
+        HopfPoint(float(value[k]), at.points[k, 0], drift[k], vectors[k], float(bend[k]), float(turn[k]))
+        for k in np.flatnonzero(known)
     ]
 
 

@@ -245,5 +245,5 @@ def _orthogonal_steps(
     share = inner(unit, linear.null, normal)
     with np.errstate(divide="ignore", invalid="ignore"):
         back = inner(unit, linear.least, normal) / share
-    scale = np.where(share < 0.0, -1.0, 1.0) / norm(unit, linear.null)
-    return linear.least - back[:, None] * linear.null, scale
+        steps = linear.least - back[:, None] * linear.null
+    return steps, np.where(share < 0.0, -1.0, 1.0) / norm(unit, linear.null)

@@ -19,7 +19,7 @@ from jaxnh.orbits.continuation.core import ROUGH, CurveEquations, Solution, corr
 
 ENDS = (
     "start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded", "resonance", "no_return",
-    "bogdanov_takens", "no_saddle", "beyond", "grazing", "infinite_period",
+    "bogdanov_takens", "no_saddle", "beyond", "grazing", "infinite_period", "unresolved",
 )  # fmt: skip
 """Reasons for which a curve ends: it was begun there, as at a bifurcation; a parameter leaves its range; the orbit is
 one of a shorter period; the curve is closed; Newton does not converge at the smallest step; as many points are known as
@@ -27,11 +27,12 @@ were asked for; it leaves all bounds; multipliers become real at a resonance 1:1
 the map has no value further on, as of orbits that no longer reach their section; the frequency of Hopf points is zero;
 an equilibrium that an orbit connects is no hyperbolic saddle further on; another part of an orbit goes beyond the level
 that its extremum has, or meets another surface; it touches a wall or a surface, where maps have no derivative; a cycle
-comes to rest at an equilibrium, and its period has no bound, as at a homoclinic orbit or a heteroclinic cycle."""
+comes to rest at an equilibrium, and its period has no bound, as at a homoclinic orbit or a heteroclinic cycle; a torus
+needs more harmonics than it may have, as where it breaks down."""
 
 (
     START, RANGE, COLLAPSED, CLOSED, NO_CONVERGENCE, MOST_POINTS, UNBOUNDED, RESONANCE, NO_RETURN, BOGDANOV_TAKENS,
-    NO_SADDLE, BEYOND, GRAZES, INFINITE_PERIOD,
+    NO_SADDLE, BEYOND, GRAZES, INFINITE_PERIOD, UNRESOLVED,
 ) = range(len(ENDS))  # fmt: skip
 
 _BENT = 0.97  # cosine of the angle between directions at the ends of a step, at least

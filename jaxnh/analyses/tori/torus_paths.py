@@ -1,0 +1,269 @@
+"""Curves of tori over a parameter, by pseudo-arclength: invariant curves of a map from one end of their range on.
+
+Unknown are the points of an invariant curve at its nodes, its rotation number and the parameter, so that folds of tori
+are points like others (Schilder, Osinga and Vogt, SIAM J. Appl. Dyn. Syst. 4 (2005) 459). The phase along the curve is
+fixed against the iterate before. Harmonics are doubled where the last ones are no longer rounding. Host code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import solve_triangular
+
+from jaxnh.analyses.tori.invariant_curves import InvariantCurve, invariance_system, is_resolved
+from jaxnh.orbits.bifurcations.hopf_cycles import HopfPoint
+from jaxnh.orbits.continuation import core
+from jaxnh.orbits.continuation.arclength import Family
+from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, Solution
+from jaxnh.orbits.continuation.paths import COLLAPSED, NO_CONVERGENCE, START, UNRESOLVED, Path, StepControl
+
+_FIRST_HARMONICS = 8  # of a curve beside a Neimark–Sacker point
+_AMPLITUDES = 0.02, 0.005, 0.08  # lengths, of the curves that Newton begins with beside a Neimark–Sacker point
+_SMALLEST = 1e-3  # lengths: a curve that is smaller has come to an orbit
+_BESIDE = 0.2  # lengths from a Neimark–Sacker point: a curve that comes to an orbit here has come to this one
+_SAME = 1e-3  # turns, and sizes of the motion: a torus this near to a branch is on it
+_TINY = np.finfo(float).tiny
+
+
+class Torus(NamedTuple):
+    """An invariant curve at a value of the parameter."""
+
+    curve: InvariantCurve
+    value: float
+
+
+class TorusBranch(NamedTuple):
+    """A curve of tori.
+
+    Attributes:
+        iterates: of the map, that carry each curve to itself.
+        tori: point by point.
+        ends: why it ends where it begins, and at its end, numbers in `continuation.paths.ENDS`.
+        born: the parameter of the Neimark–Sacker bifurcation that it begins at, else NaN.
+    """
+
+    iterates: int
+    tori: list[Torus]
+    ends: tuple[int, int]
+    born: float = np.nan
+
+
+class TorusEquations(EquationsOfPaths):
+    """Pⁿ(K(θ)) = K(θ + ρ) of 2m + 1 nodes of K, ρ and the parameter, as equations of the core.
+
+    Args:
+        family: the map.
+        iterates: n.
+        winding: whole turns of each coordinate along K, which the unknowns are without.
+        harmonics: m.
+    """
+
+    def __init__(self, family: Family, iterates: int, winding: Int[np.ndarray, " d"], harmonics: int) -> None:
+        self._family, self._winding, self.iterates = family, winding, iterates
+        self.harmonics, nodes = harmonics, 2 * harmonics + 1
+        self.unit = np.concatenate([np.tile(family.size, nodes) * np.sqrt(nodes), [1.0, family.width]])
+        self.low, self.high = np.array([family.low]), np.array([family.high])
+
+    def with_harmonics(self, m: int) -> TorusEquations:
+        """The same equations of curves with so many harmonics."""
+        return TorusEquations(self._family, self.iterates, self._winding, m)
+
+    def unknowns(self, torus: Torus) -> Float[np.ndarray, "1 N"]:
+        """The unknowns of a torus, with as many harmonics as there are here."""
+        curve = torus.curve.with_harmonics(self.harmonics)
+        return np.concatenate([curve.periodic.ravel(), [curve.rotation, torus.value]])[None]
+
+    def torus(self, z: Float[np.ndarray, " N"]) -> Torus:
+        """The torus of unknowns."""
+        periodic = z[:-2].reshape(-1, len(self._winding))
+        return Torus(InvariantCurve.of_periodic(periodic, self._winding, float(z[-2])), float(z[-1]))
+
+    def carried(self, z: Float[np.ndarray, "lanes N"], other: TorusEquations) -> Float[np.ndarray, "lanes N"]:
+        """Unknowns or directions with as many harmonics as there are in other equations."""
+        whole = list[np.ndarray]()
+        for row in z:
+            periodic = row[:-2].reshape(-1, len(self._winding))
+            curve = InvariantCurve.of_periodic(periodic, 0 * self._winding, 0.0).with_harmonics(other.harmonics)
+            whole.append(np.concatenate([curve.points.ravel(), row[-2:]]))
+        return np.stack(whole)
+
+    def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
+        """Solve where it evaluates; kept are the derivatives of Pⁿ at the nodes."""
+        rows = [self._solved(row) for row in z]
+        return Evaluation(*(np.stack(leaves) for leaves in zip(*rows, strict=True)))
+
+    def _solved(self, z: Float[np.ndarray, " N"]) -> Evaluation:
+        torus = self.torus(z)
+        image, matrices, column = self._image(torus)
+        missing, square = invariance_system(torus.curve, image, matrices, self._family.wrap)
+        size = np.append(np.tile(torus.curve.size, len(image)), 1.0)
+        whole = np.concatenate([square, np.append((column / torus.curve.size).ravel(), 0.0)[:, None]], axis=1)
+        whole *= self.unit / np.append(size, 1.0)
+        residual = missing[:-1] * size[:-1] / np.tile(self._family.size, len(image))
+        if not (np.isfinite(whole).all() and np.isfinite(missing).all()):
+            return Evaluation(residual, matrices, np.full((2, len(z)), np.nan))
+        rotated, triangle = np.linalg.qr(whole.T, mode="complete")
+        square, null = triangle[:-1], rotated[:, -1]
+        if np.min(np.abs(np.diagonal(square))) <= _TINY:
+            return Evaluation(residual, matrices, np.full((2, len(z)), np.nan))
+        least = rotated[:, :-1] @ solve_triangular(square.T, missing, lower=True)
+        return Evaluation(residual, matrices, self.unit * np.stack([least, null]))
+
+    def _image(
+        self, torus: Torus
+    ) -> tuple[Float[np.ndarray, "nodes d"], Float[np.ndarray, "nodes d d"], Float[np.ndarray, "nodes d"]]:
+        """Pⁿ, ∂Pⁿ/∂u and ∂Pⁿ/∂λ at the nodes."""
+        u = torus.curve.points
+        values, matrix, column = np.full(len(u), torus.value), np.eye(u.shape[1]), np.zeros_like(u)
+        for _ in range(self.iterates):
+            at = self._family.period(u, values)
+            assert at.by_parameter is not None
+            step = np.asarray(at.monodromy)
+            matrix, column = step @ matrix, (step @ column[..., None])[..., 0] + np.asarray(at.by_parameter)
+            u = np.asarray(at.image)
+        return u, matrix, column
+
+    def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
+        """The unknowns alone: a phase is as good as another, and curves that come back are not looked for."""
+        return (z,)
+
+    def endings(self, now: Solution, taken: Solution, /) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """Curves that come to an orbit, or have passed it: beyond it there are the same again, half a turn on."""
+        if np.any(self._winding):
+            none = np.zeros(len(now.z), bool)
+            return {}, none
+        before, after = self._deviation(now.z), self._deviation(taken.z)
+        with np.errstate(invalid="ignore"):
+            merged = np.sqrt(np.sum(after**2, axis=1)) <= _SMALLEST
+            collapsed = merged | (np.sum(before * after, axis=1) <= 0.0)
+        return {COLLAPSED: collapsed}, collapsed
+
+    def _deviation(self, z: Float[np.ndarray, "lanes N"]) -> Float[np.ndarray, "lanes k"]:
+        """Curves less their means, in lengths."""
+        points = (z / self.unit)[:, :-2].reshape(len(z), -1, len(self._winding))
+        return (points - points.mean(axis=1, keepdims=True)).reshape(len(z), -1)
+
+
+def tori_at(family: Family, iterates: int, point: HopfPoint, steps: StepControl, most: int) -> TorusBranch | None:
+    """The curve of tori that a Neimark–Sacker point begins; None where Newton confirms none near it.
+
+    Args:
+        family: the map.
+        iterates: points of the orbit.
+        point: the normal form there.
+        steps: how the curve is followed.
+        most: harmonics at most.
+    """
+    equations = TorusEquations(family, iterates, np.zeros(len(point.u), int), _FIRST_HARMONICS)
+    for amplitude in _AMPLITUDES:
+        z, none = (equations.unknowns(_small_torus(point, r)) for r in (amplitude, 0.0))
+        across = (z - none) / core.norm(equations.unit, z - none)[:, None]
+        now = core.correct(equations, z, across)
+        if now.converged[0] and family.low <= now.z[0, -1] <= family.high:
+            return follow_tori(equations, now, steps, most)._replace(born=point.value)
+    return None
+
+
+def tori_through(family: Family, torus: Torus, steps: StepControl, most: int) -> TorusBranch | None:
+    """The curve of tori of a map through one, from one end to the other; None where Newton does not confirm it."""
+    equations = TorusEquations(family, 1, torus.curve.winding, torus.curve.harmonics)
+    z = equations.unknowns(torus)
+    across = np.zeros_like(z)
+    across[0, -1] = family.width
+    now = core.correct(equations, z, across)
+    if not now.converged[0]:
+        return None
+    ahead, behind = (follow_tori(equations, start, steps, most) for start in (now, now.backward()))
+    return TorusBranch(1, [*behind.tori[:0:-1], *ahead.tori], (behind.ends[1], ahead.ends[1]))
+
+
+def ends_at(family: Family, branch: TorusBranch, point: HopfPoint) -> bool:
+    """Return whether a branch of tori has come to an orbit beside a Neimark–Sacker point."""
+    if branch.ends[1] != COLLAPSED:
+        return False
+    last = branch.tori[-1]
+    gap = family.wrap(last.curve.periodic.mean(axis=0) - point.u) / family.size
+    return bool(np.hypot(np.linalg.norm(gap), (last.value - point.value) / family.width) < _BESIDE)
+
+
+def is_on_branch(family: Family, branch: TorusBranch, torus: Torus) -> bool:
+    """Return whether a torus is on a branch, by its place and rotation number between two points of it."""
+    if branch.iterates != 1 or np.any(branch.tori[0].curve.winding != torus.curve.winding):
+        return False
+    value = np.array([each.value for each in branch.tori])
+    numbers = np.array([_invariants(family, each) for each in branch.tori])
+    own = _invariants(family, torus)
+    for k in np.flatnonzero((value[:-1] - torus.value) * (value[1:] - torus.value) <= 0.0).tolist():
+        rise = value[k + 1] - value[k]
+        between = numbers[k] + (torus.value - value[k]) / (rise or 1.0) * (numbers[k + 1] - numbers[k])
+        if np.all(np.abs(own - between) <= _SAME + 0.5 * np.abs(numbers[k + 1] - numbers[k])):
+            return True
+    return False
+
+
+def _invariants(family: Family, torus: Torus) -> Float[np.ndarray, " 1+2d"]:
+    """What a torus has whatever its phase and sense: the rotation number, the mean and the extent of its curve.
+
+    Of a coordinate that winds the mean is the phase, and is left out.
+    """
+    periodic, turn = torus.curve.periodic / family.size, torus.curve.rotation % 1.0
+    mean = np.where(torus.curve.winding != 0, 0.0, periodic.mean(axis=0))
+    return np.concatenate([[min(turn, 1.0 - turn)], mean, periodic.std(axis=0)])
+
+
+def follow_tori(equations: TorusEquations, start: Solution, steps: StepControl, most: int) -> TorusBranch:
+    """The curve of tori from a solution in its direction, to where it ends.
+
+    Args:
+        equations: of as many harmonics as the solution has.
+        start: the solution.
+        steps: how long steps are, and how many there may be.
+        most: harmonics at most.
+    """
+    path, last, tori = _path(equations, start, steps), start, [equations.torus(start.z[0])]
+    while True:
+        ended = path.step()
+        if path.met(0):
+            points = path.track(0)
+            last, tori = points.take(slice(-1, None)), [*tori, *map(equations.torus, points.z)]
+        end, resolved = int(path.end[0]), is_resolved(tori[-1].curve)
+        if resolved and end != NO_CONVERGENCE:
+            if len(ended):
+                return TorusBranch(equations.iterates, tori, (START, end))
+            continue
+        if 2 * equations.harmonics > most:
+            return TorusBranch(equations.iterates, tori, (START, NO_CONVERGENCE if resolved else UNRESOLVED))
+        finer = equations.with_harmonics(2 * equations.harmonics)
+        carry = partial(equations.carried, other=finer)
+        last = core.correct(finer, carry(last.z), carry(last.way))
+        if not last.converged[0]:
+            return TorusBranch(equations.iterates, tori, (START, NO_CONVERGENCE))
+        tori[-1] = finer.torus(last.z[0])
+        if len(ended) and end != NO_CONVERGENCE:
+            return TorusBranch(equations.iterates, tori, (START, end))
+        if len(ended):
+            path = _path(finer, last, steps)
+        else:
+            path.move(finer, last, carry)
+        equations = finer
+
+
+def _path(equations: TorusEquations, first: Solution, steps: StepControl) -> Path:
+    """The path from a torus that is known."""
+    path = Path(equations, first, steps)
+    path.begin(np.zeros(1, int))
+    path.track(0)
+    return path
+
+
+def _small_torus(point: HopfPoint, amplitude: float) -> Torus:
+    """The torus of an amplitude beside a Neimark–Sacker point, by the normal form."""
+    change = point.bend * amplitude**2
+    turns = np.exp(2j * np.pi * np.arange(2 * _FIRST_HARMONICS + 1) / (2 * _FIRST_HARMONICS + 1))
+    points = point.u + change * point.drift + 2.0 * amplitude * np.real(turns[:, None] * point.vector)
+    return Torus(InvariantCurve(points, np.zeros(len(point.u), int), point.turn), point.value + change)
