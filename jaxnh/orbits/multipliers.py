@@ -96,11 +96,11 @@ def _last_turn_of_lane(blocks: Float[np.ndarray, "n d d"]) -> tuple[np.ndarray, 
     """`_last_turn` of one lane, (d, d) each, of matrices that need not be stacked."""
     identity = np.eye(blocks.shape[-1])
     basis = start = product = identity
-    for _ in range(_TURNS):
-        start, product = basis, identity
+    for turn in range(_TURNS):
+        start, counts = basis, turn == _TURNS - 1
         for block in blocks:
             factors, scales, *_ = dgeqrf(block @ basis)
-            product = np.triu(factors) @ product
+            product = np.triu(factors) @ product if counts else product
             basis = dorgqr(factors, scales)[0]
     return start.T @ basis, product
 

@@ -41,6 +41,9 @@ _AWAY = (2e-2, 4e-3, 1e-3, 2.5e-4)  # from a doubling, in lengths, tried in this
 _STRAIGHT = 0.9  # cosine of the angle between the branch there and the direction it sets out in
 _FLOOR = 1e-12  # of the width of the range: what rounding leaves
 _TOLD = 0.1  # of 1 + |μ|: error of a factor of a test function that leaves its sign
+_NEAREST = 3  # points that tell where others of a chord are
+_APART = 1e-4  # of a chord, of such points: nearer ones tell rounding
+_BEND = 1e-6  # s²(1 − s)², below which a cubic is as good
 _ROUNDING = 1e-10  # of a test function: less tells no sign, as of 1 − μ_1 μ_2 where area is preserved
 
 
@@ -205,7 +208,10 @@ class _NoPointError(Exception):
 
 
 class _Chord:
-    """The branch between two of its points, on one mesh, by shares of the chord from one to the other."""
+    """The branch between two of its points, on one mesh, by shares of the chord from one to the other.
+
+    Points that are known once are kept, and tell where others are.
+    """
 
     def __init__(
         self,
@@ -220,17 +226,42 @@ class _Chord:
         length = core.norm(self._equations.unit, self._chord)
         self._normal = self._chord / length[:, None]
         self._ways = length * ahead, length * beyond
+        self._known = dict[float, CyclePoint]()
+        self._off_cubic = dict[float, np.ndarray]()  # of shares between the ends, over s²(1 − s)²
 
     def point(self, share: float) -> CyclePoint:
-        """The point in the hyperplane across the chord at a share of it, from a cubic; raises `_NoPointError`."""
-        s, left, unit = share, 1.0 - share, self._equations.unit
+        """The point in the hyperplane across the chord at a share of it; raises `_NoPointError`."""
+        if share not in self._known:
+            cubic, bend = self._cubic(share), share**2 * (1.0 - share) ** 2
+            guess = cubic + bend * self._interpolated(share)
+            corrected = core.correct(self._equations, guess, self._normal, core.FINE)
+            if not corrected.converged[0]:
+                raise _NoPointError
+            if bend > _BEND:
+                self._off_cubic[share] = (corrected.z - cubic) / bend
+            self._known[share] = self._equations.points(corrected)[0]
+        return self._known[share]
+
+    def _cubic(self, s: float) -> Float[np.ndarray, "1 N"]:
+        """Hermite's cubic from end to end, in the hyperplane of its share."""
+        left, unit = 1.0 - s, self._equations.unit
         bent = s * s * (3.0 - 2.0 * s) * self._chord + s * left**2 * self._ways[0] - s * s * left * self._ways[1]
         off = s * core.norm(unit, self._chord) - core.inner(unit, bent, self._normal)
-        guess = self._first + bent + off[:, None] * self._normal
-        corrected = core.correct(self._equations, guess, self._normal, core.FINE)
-        if not corrected.converged[0]:
-            raise _NoPointError
-        return self._equations.points(corrected)[0]
+        return self._first + bent + off[:, None] * self._normal
+
+    def _interpolated(self, share: float) -> Float[np.ndarray, "1 N"] | float:
+        """What points are off the cubic by, over s²(1 − s)², by the polynomial through the nearest that are known."""
+        nearest = list[float]()
+        for other in sorted(self._off_cubic, key=lambda other: abs(other - share)):
+            if len(nearest) < _NEAREST and all(abs(other - s) > _APART for s in nearest):
+                nearest.append(other)
+        return sum(
+            (
+                self._off_cubic[s] * np.prod([(share - other) / (s - other) for other in nearest if other != s])
+                for s in nearest
+            ),
+            0.0,
+        )
 
     def test(self, share: float) -> float:
         """The test function there; raises `_NoPointError` where it is not known."""
