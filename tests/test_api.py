@@ -308,6 +308,7 @@ OTHERS = {
     "_NoNameError": {"engine/cache/executables.py": "caught at once: such a program is compiled and not kept"},
     "NotImplementedError": {
         "config/user_system.py": "a method for subclasses",
+        "engine/experiment/base.py": "likewise",
         "maps/protocol.py": "likewise",
         "maps/extended_precision.py": "an operation that no flow with a table of kicks has",
     },

@@ -574,18 +574,18 @@ MU = "mu: {start: -0.28, stop: 0.28, count: 8}"
 STEPS = "accuracy: {solver: dopri8, steps: 16}"
 
 
-def beyond(values):
+def excess(values):
     """By how much a lane is beyond the doubling at μ = ν."""
     return values["mu"] - values.get("nu", 0.0)
 
 
 def moebius_exponents(values):
-    beyond_it, rate = beyond(values), values.get("omega", 1.0)
+    beyond_it, rate = excess(values), values.get("omega", 1.0)
     return rate * np.where(beyond_it > 0, -2 * beyond_it, beyond_it), -rate * np.ones_like(beyond_it)
 
 
 def moebius_periods(values):
-    return np.where(beyond(values) > 0, 2, 1)
+    return np.where(excess(values) > 0, 2, 1)
 
 
 def moebius_phase(data, groups):
@@ -601,7 +601,7 @@ def moebius_phase(data, groups):
 
 def moebius_saddle(values):
     """Multipliers of the orbit of period 1 beyond its doubling, in modulus."""
-    growth = np.exp(TURN * beyond(values))
+    growth = np.exp(TURN * excess(values))
     return np.where(growth > 1.0, growth, np.nan), np.exp(-TURN) * np.ones_like(growth)
 
 
@@ -635,7 +635,7 @@ MOEBIUS = {
     "homoclinic": NO_EQUILIBRIA,
     "basins": one_attractor,
     "reversal": NO_REVERSAL,
-    "orbits": orbit_numbers(lambda values: (1, beyond(values) > 0)),
+    "orbits": orbit_numbers(lambda values: (1, excess(values) > 0)),
     "covariant": exponents(moebius_exponents),
     "transients": nothing_leaves,
     "rotation": rotation(moebius_periods),
@@ -1127,7 +1127,7 @@ def looped(solver, *_):
     return in_loop(solver)
 
 
-def drawn(data):
+def panels_of(data):
     """What is on each of the axes of a figure, or why there is none."""
     try:
         return [(ax.get_title(loc="left"), len(ax.lines), len(ax.collections)) for ax in jaxnh.figure(data).axes]
@@ -1137,7 +1137,7 @@ def drawn(data):
 
 def is_drawn_without_attributes(data):
     """A group without attributes is drawn with as many lines and areas, or what it lacks is said in words."""
-    whole, bare = drawn(data), drawn(data.drop_attrs())
+    whole, bare = panels_of(data), panels_of(data.drop_attrs())
     if isinstance(bare, str) and bare != whole:
         assert "has no flag_meanings, the words of its numbers" in bare
         assert set(data) & {"kind", "criticality", "begin_kind", "scenario"}

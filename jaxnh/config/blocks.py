@@ -35,7 +35,7 @@ MOST_LANES = 10_000_000
 """Lanes of a sweep, the product of its axes, that are run unasked: a dozen variables of them fill a gigabyte."""
 
 
-class OrderedBlock(Block):
+class OrderedBlock(Block, frozen=True):
     """A block whose keys have an order that counts."""
 
     _order: tuple[str, ...] = PrivateAttr(default=())
@@ -45,14 +45,14 @@ class OrderedBlock(Block):
     def _keep_order(cls, content: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         block = handler(content)
         if isinstance(content, dict):
-            block._order = tuple(content)
+            block._set_private(_order=tuple(content))
         return block
 
 
 # ---- a sweep
 
 
-class EvenGrid(Block):
+class EvenGrid(Block, frozen=True):
     """Evenly spaced values, both ends included."""
 
     start: float = Field(description="First value")
@@ -82,7 +82,7 @@ class EvenGrid(Block):
         return np.linspace(self.start, self.stop, self.count)
 
 
-class ValueGrid(Block):
+class ValueGrid(Block, frozen=True):
     """Values named one by one."""
 
     values: tuple[float, ...] = Field(
@@ -115,7 +115,7 @@ Grid: TypeAlias = Annotated[
 """Values of an axis."""
 
 
-class SweepBlock(Block, abc.ABC):
+class SweepBlock(Block, abc.ABC, frozen=True):
     """The axes of a sweep: parameters, or coordinates of the start state, to their values."""
 
     @property
@@ -140,7 +140,7 @@ class SweepBlock(Block, abc.ABC):
         return math.prod(grid.size for grid in self.grids.values())
 
 
-class Levels(Block):
+class Levels(Block, frozen=True):
     """A sweep from coarse to fine: every level has twice as many values of each axis as the one before."""
 
     count: int = Field(
@@ -161,7 +161,7 @@ class Levels(Block):
 # ---- a system and its start
 
 
-class InitialBlock(Block, abc.ABC):
+class InitialBlock(Block, abc.ABC, frozen=True):
     """The start state at t = 0."""
 
     @abc.abstractmethod
@@ -174,7 +174,7 @@ class InitialBlock(Block, abc.ABC):
         return frozenset(name for name in self.model_fields_set if self.coordinates().get(name) is not None)
 
 
-class SystemBlock(Block, abc.ABC):
+class SystemBlock(Block, abc.ABC, frozen=True):
     """The system that moves."""
 
     prescribed: ClassVar[bool] = False
@@ -193,7 +193,7 @@ class SystemBlock(Block, abc.ABC):
         """Coordinates of the start state that the flow asks for."""
 
 
-class SectionBlock(Block, abc.ABC):
+class SectionBlock(Block, abc.ABC, frozen=True):
     """Section of a flow without a clock."""
 
     direction: Literal["up", "down", "both"] = Field(default="up", description="In which it passes the value")
@@ -213,7 +213,7 @@ class SectionBlock(Block, abc.ABC):
 # ---- accuracy, analyses, published values
 
 
-class Accuracy(Block):
+class Accuracy(Block, frozen=True):
     """Accuracy of the map of one period, or the method and steps that it is computed by."""
 
     target: float = Field(
@@ -268,7 +268,7 @@ class Accuracy(Block):
         return self
 
 
-class AnalysesBase(OrderedBlock):
+class AnalysesBase(OrderedBlock, frozen=True):
     """The analyses asked for, each with its options; None where an analysis is absent."""
 
     @model_validator(mode="before")
@@ -312,7 +312,7 @@ Column = Annotated[tuple[float | None, ...], Field(strict=False), AfterValidator
 """Published numbers of one variable; NaN where the publication has none (null in YAML)."""
 
 
-class PublishedValues(Block):
+class PublishedValues(Block, frozen=True):
     """Published values of an analysis: where they are from, what they are of, and a list of numbers a variable."""
 
     model_config = ConfigDict(extra="allow")
@@ -329,7 +329,7 @@ class PublishedValues(Block):
         return {name: np.array(column, dtype=np.float64) for name, column in self.__pydantic_extra__.items()}
 
 
-class ExploreBlock(Block):
+class ExploreBlock(Block, frozen=True):
     """The view that the page of `jaxnh explore` opens with; no number of a run depends on it."""
 
     view: dict[str, int | float | str] = Field(

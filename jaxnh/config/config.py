@@ -16,7 +16,17 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationError, field_vali
 
 from jaxnh.analyses.options import OPTIONS
 from jaxnh.analyses.options.base import Block, rule
-from jaxnh.config.blocks import Accuracy, Analyses, ExploreBlock, Levels, PublishedValues, SystemBlock
+from jaxnh.config.blocks import (
+    Accuracy,
+    Analyses,
+    ExploreBlock,
+    InitialBlock,
+    Levels,
+    PublishedValues,
+    SectionBlock,
+    SweepBlock,
+    SystemBlock,
+)
 from jaxnh.config.fitting import check_accuracy, check_map_accuracy
 from jaxnh.config.layout import layout
 from jaxnh.config.messages import Layout, close_match, first_fault, show_value
@@ -27,24 +37,21 @@ from jaxnh.exceptions import ConfigError, InputError, take_path
 from jaxnh.systems.user_text import Names, names_in, read_text
 
 
-class Config(Block):
+class Config(Block, frozen=True):
     """A validated config."""
 
     model_config = ConfigDict(title="Experiment")
 
+    # Each kind of config has its own type for the fields without a description here.
     title: str = Field(default="", description="Title of the run")
-    system: ConstantSpeed | DisturbedSpeed | Free = Field(
-        discriminator="constraint", description="The constraint on the speed, the parameters, and what is left out"
-    )
-    initial: Initial = Field(default=Initial(), description="Start state at t = 0, where it is not swept")
-    sweep: Sweep = Field(description="The parameters and start coordinates that differ from lane to lane: their values")
+    system: SystemBlock
+    initial: InitialBlock
+    sweep: SweepBlock
     levels: Levels | None = Field(
         default=None, description="From coarse to fine: levels of the sweep, each a result that can be read"
     )
-    section: PoincareSection | None = Field(
-        default=None, description="Without forcing and disturbance, the section whose crossings take the strobe's place"
-    )
-    accuracy: Accuracy = Field(default=Accuracy(), description="Error allowed, or solver and steps")
+    section: SectionBlock | None
+    accuracy: Accuracy
     analyses: Analyses = Field(description="Analyses to run: name of each to its options")
     device: Literal["cpu", "gpu"] | None = Field(
         default=None, description="Kind of device that computes; by default the one that JAX prefers here"
@@ -68,10 +75,9 @@ class Config(Block):
 
     @model_validator(mode="after")
     def _check(self) -> Config:
-        system: SystemBlock = self.system
         self.sweep.check()
-        system.check(self.initial, self.sweep)
-        clock = system.has_clock(self.sweep)
+        self.system.check(self.initial, self.sweep)
+        clock = self.system.has_clock(self.sweep)
         if clock is not None:
             self.check_clock(clock)
         return self
@@ -175,20 +181,34 @@ class Config(Block):
         return f"<b>{escape(self.title or self.label)}</b><pre>{escape(self.text)}</pre>"
 
 
-class UserConfig(Config):
+class ParticleConfig(Config, frozen=True):
+    """A validated config of the paper's particle."""
+
+    system: ConstantSpeed | DisturbedSpeed | Free = Field(
+        discriminator="constraint", description="The constraint on the speed, the parameters, and what is left out"
+    )
+    initial: Initial = Field(default=Initial(), description="Start state at t = 0, where it is not swept")
+    sweep: Sweep = Field(description="The parameters and start coordinates that differ from lane to lane: their values")
+    section: PoincareSection | None = Field(
+        default=None, description="Without forcing and disturbance, the section whose crossings take the strobe's place"
+    )
+    accuracy: Accuracy = Field(default=Accuracy(), description="Error allowed, or solver and steps")
+
+
+class UserConfig(Config, frozen=True):
     """A validated config of a user's system."""
 
-    system: UserSystem = Field(description="The user's file, and the parameters")  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
-    initial: UserInitial = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+    system: UserSystem = Field(description="The user's file, and the parameters")
+    initial: UserInitial = Field(
         default_factory=dict, validate_default=True, description="Start state at t = 0, where it is not swept"
     )
-    sweep: UserSweep = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+    sweep: UserSweep = Field(
         description="The parameters and start coordinates that differ from lane to lane: their values"
     )
-    section: UserSection | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+    section: UserSection | None = Field(
         default=None, description="Of a system without a clock, the section whose crossings take the strobe's place"
     )
-    accuracy: UserAccuracy = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+    accuracy: UserAccuracy = Field(
         default_factory=dict, validate_default=True, description="Error allowed, or solver and steps"
     )
 
@@ -253,13 +273,13 @@ def config_of(
     if file is not None and not isinstance(file, str):
         raise source.error(("system", "file"), f"must be the name of a Python file, not {show_value(file)}")
     if file is None:
-        return _validate(Config, source, layout(Config, Sweep.model_fields))
+        return _validate(ParticleConfig, source, layout(ParticleConfig, Sweep.model_fields))
     path = folder / file
     user_text = _user_text(source, path) if user_text is None else user_text
     names = names or names_in(user_text, path)
     where = layout(UserConfig, axes if isinstance(axes, dict) else ())
     config = _validate(UserConfig, source, where, names)
-    config._names, config._path, config._user_text = names, path, user_text
+    config._set_private(_names=names, _path=path, _user_text=user_text)
     return config
 
 
@@ -303,7 +323,7 @@ def _validate(model: type[_C], source: ConfigSource, where: Layout, names: Names
         config = model.model_validate(source.data, context=names)
     except ValidationError as error:
         raise first_fault(error, source, where) from None
-    config._source = source
+    config._set_private(_source=source)
     return config
 
 

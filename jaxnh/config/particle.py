@@ -31,7 +31,7 @@ _COORDINATES = ("x1", "x2", "y1", "y2")
 # ---- start, sweep, section
 
 
-class Initial(InitialBlock):
+class Initial(InitialBlock, frozen=True):
     """The start state at t = 0; with a constraint y2 follows from it, as the positive root."""
 
     x1: float = Field(default=0.1, description="Position x1")
@@ -50,7 +50,7 @@ def _axis(words: str) -> Any:
     return Field(default=None, description=f"{words}: start, stop and count, or values")
 
 
-class Sweep(OrderedBlock, SweepBlock):
+class Sweep(OrderedBlock, SweepBlock, frozen=True):
     """The axes of the sweep, whose product is what is run: parameters, and coordinates of the start state."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1})
@@ -76,7 +76,7 @@ class Sweep(OrderedBlock, SweepBlock):
         return tuple(type(self).model_fields)
 
 
-class PoincareSection(SectionBlock):
+class PoincareSection(SectionBlock, frozen=True):
     """Section of a flow without a clock: one of its positions passes a value."""
 
     coordinate: Literal["x1", "y1"] = Field(default="x1", description="Position that decides")
@@ -86,7 +86,7 @@ class PoincareSection(SectionBlock):
 # ---- system
 
 
-class Particle(SystemBlock):
+class Particle(SystemBlock, frozen=True):
     """A particle in the plane under the paper's forces."""
 
     constraint: str = Field(description="Constraint on the speed")
@@ -191,7 +191,7 @@ class _Values:
             yield f"sweep.{name}"
 
 
-class PrescribedSpeed(Particle):
+class PrescribedSpeed(Particle, frozen=True):
     """A particle at a prescribed speed: its multiplier absorbs the damping, so that leaving it out changes nothing."""
 
     c: float = Field(default=1.0, gt=0, description="Squared speed, or its mean")
@@ -213,16 +213,16 @@ class PrescribedSpeed(Particle):
             raise rule(message, *values.keys("x2", "c"))
 
 
-class ConstantSpeed(PrescribedSpeed):
+class ConstantSpeed(PrescribedSpeed, frozen=True):
     """x2² + y2² = c, equation (12) of the paper."""
 
-    constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")  # pyright: ignore[reportIncompatibleVariableOverride]
+    constraint: Literal["constant_speed"] = Field(description="The squared speed is held at c")
 
 
-class DisturbedSpeed(PrescribedSpeed):
+class DisturbedSpeed(PrescribedSpeed, frozen=True):
     """x2² + y2² = c + d sin t, equation (22) of the paper."""
 
-    constraint: Literal["disturbed_speed"] = Field(description="The squared speed is held at c + d sin(t)")  # pyright: ignore[reportIncompatibleVariableOverride]
+    constraint: Literal["disturbed_speed"] = Field(description="The squared speed is held at c + d sin(t)")
     d: float = Field(
         default=0.1, description="Amplitude of the disturbance of the squared speed, |d| < c; 0 leaves it out"
     )
@@ -250,10 +250,10 @@ class DisturbedSpeed(PrescribedSpeed):
         return super().has_clock(sweep) or self.d != 0 or "d" in sweep.grids
 
 
-class Free(Particle):
+class Free(Particle, frozen=True):
     """No constraint, equation (1) of the paper: the one system in which the damping counts."""
 
-    constraint: Literal["free"] = Field(description="The speed is free")  # pyright: ignore[reportIncompatibleVariableOverride]
+    constraint: Literal["free"] = Field(description="The speed is free")
 
     axes: ClassVar[tuple[str, ...]] = ("b", "a", "omega", *_COORDINATES)
 

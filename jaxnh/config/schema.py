@@ -11,12 +11,12 @@ from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema
 
-from jaxnh.config.config import Config, UserConfig
+from jaxnh.config.config import Config, ParticleConfig, UserConfig
 
 
 def schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a config, with a description for every key: for editors."""
-    built_in, users = Config.model_json_schema(), UserConfig.model_json_schema()
+    built_in, users = ParticleConfig.model_json_schema(), UserConfig.model_json_schema()
     properties = {**built_in["properties"]}
     system = properties["system"]
     properties["system"] = {**system, "oneOf": [*system["oneOf"], {"$ref": users["properties"]["system"]["$ref"]}]}
@@ -29,6 +29,7 @@ def schema() -> dict[str, Any]:
     return {
         "$schema": GenerateJsonSchema.schema_dialect,
         **built_in,
+        "description": Config.__doc__,
         "$defs": {**built_in["$defs"], **users["$defs"]},
         "properties": properties,
         "if": {"required": ["system"], "properties": {"system": {"required": ["file"]}}},

@@ -17,7 +17,7 @@ from jaxnh.config.messages import close_match, explain_unknown
 from jaxnh.systems.user_text import OF_RESULTS, Names
 
 
-class UserBlock(Block):
+class UserBlock(Block, frozen=True):
     """A block whose further keys are named in the user's file."""
 
     model_config = ConfigDict(extra="allow")
@@ -28,7 +28,7 @@ class UserBlock(Block):
     def _check_keys(self, info: ValidationInfo) -> UserBlock:
         """Check that each key is known, if it is known which are."""
         assert isinstance(info.context, Names)
-        self._names = info.context
+        self._set_private(_names=info.context)
         for name in self.model_extra or {}:
             if name not in self.known:
                 raise rule(explain_unknown(name, (*type(self).model_fields, *self.known)), name)
@@ -43,7 +43,7 @@ class UserBlock(Block):
         return tuple(self.model_extra or ()) if names is None else names
 
 
-class UserInitial(InitialBlock, UserBlock):
+class UserInitial(InitialBlock, UserBlock, frozen=True):
     """The start state at t = 0 of a user's system: coordinates NAME and velocities NAME_dot, zero where not given."""
 
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -81,7 +81,7 @@ class UserInitial(InitialBlock, UserBlock):
         return {name: self.__pydantic_extra__.get(name, 0.0) for name in self.known} | (self.level or {})
 
 
-class UserSweep(SweepBlock, UserBlock):
+class UserSweep(SweepBlock, UserBlock, frozen=True):
     """The axes of the sweep, whose product is what is run: parameters, coordinates NAME or velocities NAME_dot."""
 
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -103,7 +103,7 @@ class UserSweep(SweepBlock, UserBlock):
         return (*parameters, *states, *integrals)
 
 
-class UserAccuracy(Accuracy):
+class UserAccuracy(Accuracy, frozen=True):
     """Accuracy of the map of one period of a user's system, whose coordinates have sizes of their own."""
 
     scale: dict[str, Annotated[float, Field(gt=0)]] | None = Field(
@@ -128,7 +128,7 @@ class UserAccuracy(Accuracy):
         return self.scale or {}
 
 
-class UserSection(SectionBlock):
+class UserSection(SectionBlock, frozen=True):
     """Section of a user's flow without a clock: a coordinate, or a sum of several, passes a value."""
 
     coordinate: str | None = Field(default=None, description="Coordinate that decides; of mechanics a position")
@@ -153,7 +153,7 @@ class UserSection(SectionBlock):
         return self
 
 
-class UserSystem(SystemBlock, UserBlock):
+class UserSystem(SystemBlock, UserBlock, frozen=True):
     """A user's file, and its parameters."""
 
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]

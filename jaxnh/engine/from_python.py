@@ -68,7 +68,7 @@ def experiment_of(
         )
     content["sweep"] = {lane[0]: {"values": [lane[1]]}}
     experiment = Experiment.from_content(content, user_file)
-    experiment._filler = lane[0]
+    experiment._set_private(_filler=lane[0])
     return experiment
 
 

@@ -42,7 +42,9 @@ class EditedFiles:
         Raises:
             InputError: a text is too long, or as of `engine.experiment.load`.
         """
-        from jaxnh.cli.experiments import experiment_of  # and JAX, which the page of a result goes without
+        # Imports JAX, which the page of a result goes without.
+        from jaxnh.engine.experiment import Experiment
+        from jaxnh.engine.xla_options import configure
 
         for path, text in texts.items():
             if len(text) > MOST:
@@ -51,7 +53,9 @@ class EditedFiles:
         system = source.data.get("system")
         named = system.get("file") if isinstance(system, dict) else None
         file = self.config.parent / named if isinstance(named, str) else None
-        return experiment_of(config_of(source, self.config.parent, texts.get(file) if file else None))
+        config = config_of(source, self.config.parent, texts.get(file) if file else None)
+        configure()  # before a user's file is tried out
+        return Experiment.from_config(config)
 
     def save(self, texts: dict[Path, str]) -> EditedFiles:
         """Write those texts that have changed, each file whole or not at all; returns what is on disk then.

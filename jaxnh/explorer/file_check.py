@@ -100,7 +100,7 @@ def main() -> None:
         question = json.load(source)
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as sink:
         os.dup2(2, 1)  # whatever a user's file prints is no answer
-        import jaxnh.cli.experiments
+        import jaxnh.engine.experiment
         import jaxnh.explorer.live  # noqa: F401
 
         faulthandler.dump_traceback_later(question["seconds"], exit=True)

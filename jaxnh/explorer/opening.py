@@ -61,11 +61,12 @@ def open_file(
         source = open_recording(result)
         return PageContent(source, checked(saved, source, path), (source.overlays, *more))
     # Imports JAX, for a second.
-    from jaxnh.cli.experiments import experiment_of
+    from jaxnh.engine.experiment import Experiment
+    from jaxnh.engine.xla_options import configure
     from jaxnh.explorer.live import live
 
-    experiment = experiment_of(content)
-    source = live(experiment, progress, columns)
+    configure()  # before a user's file is tried out
+    source = live(Experiment.from_config(content), progress, columns)
     return PageContent(source, checked(saved, source, path), more, edited_files(content, overrides))
 
 

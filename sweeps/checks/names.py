@@ -1,7 +1,7 @@
-"""Names that say too little: a class name that is defined twice, or one word that is a participle or an adverb.
+"""Names that say too little: a class name that a folder has twice, or one word that is a participle or an adverb.
 
-Of classes and modules; and of functions of modules such a word of its own, a preposition or an irregular participle
-(regular ones say what a function gives, as Python's `sorted` does).
+Of classes and modules of the package, of sweeps and of tests; and of functions of modules such a word of its own, a
+preposition or an irregular participle (regular ones say what a function gives, as Python's `sorted` does).
 
     python -m sweeps.checks.names
 
@@ -18,6 +18,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sweeps.checks.measured_at import PACKAGE, ROOT
+
+FOLDERS = (PACKAGE, "sweeps", "tests")
 
 _PARTICIPLES = [
     "begun",
@@ -90,10 +92,11 @@ _PLACES = [
 _OF_FUNCTIONS = {*_PARTICIPLES, *_PLACES} - {"left", "put"}  # a side, and a verb
 _NOUNS = {"seed", "speed", "_seed", "bed", "feed", "need"}
 _ALLOWED = {"Stopped": "the public exception of a call that was stopped, as `asyncio.CancelledError` is named"}
+_OF_SEVERAL = {"Contestant": "a program of `sweeps.peers`, which the worker makes by the name of its module"}
 
 
 def faults(folder: Path) -> Iterator[str]:
-    """Lines that say what is wrong with the names of a package."""
+    """Lines that say what is wrong with the names in a folder."""
     homes = defaultdict[str, list[str]](list)
     for path in sorted(folder.rglob("*.py")):
         place = path.relative_to(folder.parent).as_posix()
@@ -109,7 +112,7 @@ def faults(folder: Path) -> Iterator[str]:
                 if _says_too_little(node.name) and node.name not in _ALLOWED:
                     yield f"{place}:{node.lineno}: a class is named by what it is, not {node.name}"
     for name, places in homes.items():
-        if len(places) > 1:
+        if len(places) > 1 and name not in _OF_SEVERAL:
             yield f"{places[1]}: a class {name} is defined at {places[0]} as well"
 
 
@@ -124,7 +127,7 @@ def _says_too_little(name: str) -> bool:
 
 def main() -> int:
     """Run the check; returns its exit code."""
-    found = list(faults(ROOT / PACKAGE))
+    found = [fault for folder in FOLDERS for fault in faults(ROOT / folder)]
     print("\n".join(found) or "names: every class has one of its own, and nothing is a bare participle or preposition")
     return 1 if found else 0
 

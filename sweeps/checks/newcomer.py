@@ -232,7 +232,7 @@ def yardstick() -> float:
     return min(seconds)
 
 
-def known(page: str) -> tuple[float, dict[str, float]]:
+def read_page(page: str) -> tuple[float, dict[str, float]]:
     """The yardstick of a page, and its seconds by name."""
     compared = re.search(r"to compare machines by: ([0-9.]+) s", page)
     if compared is None:
@@ -255,7 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--write", action="store_true", help="write the page anew")
     asked = parser.parse_args(arguments)
     measured = yardstick()
-    then, seconds = (measured, {}) if asked.write else known(PAGE.read_text())
+    then, seconds = (measured, {}) if asked.write else read_page(PAGE.read_text())
     rows, faults = list[str](), list[str]()
     for example in examples():
         if asked.only not in example.name:

@@ -17,7 +17,7 @@ from sweeps.studies.critical_slowing_study import (
     THRESHOLDS,
     TURNS,
     Agreement,
-    Study,
+    CascadeStudy,
     agreement,
     checked_rows,
     nearest_pair,
@@ -80,7 +80,7 @@ Transient N with which plain detection gives the value of the {source}; its last
 """
 
 
-def page(studies: list[Study], transients: np.ndarray, cost: str, measured_at: str) -> str:
+def page(studies: list[CascadeStudy], transients: np.ndarray, cost: str, measured_at: str) -> str:
     """The result in Markdown."""
     j, k = nearest_pair(studies)
     rows, ratios = [], {}
@@ -136,7 +136,7 @@ def _ends(span: tuple[float, float]) -> str:
     return low if low == high else f"{low}–{high}"
 
 
-def _system_page(study: Study, transients: np.ndarray) -> str:
+def _system_page(study: CascadeStudy, transients: np.ndarray) -> str:
     """Tables of one cascade: the law with slopes, and the N that each published row asks for."""
     c, law = study.cascade, study.law
     measured, predicted = slopes(study, transients)
@@ -184,7 +184,7 @@ def _power(threshold: float) -> str:
 # ---- figure
 
 
-def figure(studies: list[Study], transients: np.ndarray) -> Figure:
+def figure(studies: list[CascadeStudy], transients: np.ndarray) -> Figure:
     """Bias against N: a column a cascade, a row a threshold."""
     fig = Figure(figsize=(10.5, 11.5), layout="constrained")
     panels = fig.subplots(len(THRESHOLDS), len(studies), sharex=True, sharey=True, squeeze=False)
@@ -211,7 +211,7 @@ def figure(studies: list[Study], transients: np.ndarray) -> Figure:
     return fig
 
 
-def panel(ax: Axes, study: Study, j: int, transients: np.ndarray) -> None:
+def panel(ax: Axes, study: CascadeStudy, j: int, transients: np.ndarray) -> None:
     """All levels of one cascade at one threshold, onto an axis."""
     fine = np.geomspace(transients[0], transients[-1], 600)
     ax.axhspan(1e-12, HALF_DIGIT, color="0.93", zorder=0)

@@ -87,7 +87,7 @@ class Law(NamedTuple):
         return (self.gamma * threshold**2 / self.kappa)[:, None] * of_ratio
 
 
-class Study(NamedTuple):
+class CascadeStudy(NamedTuple):
     """One cascade: its law, and the b and bias detected, (levels, thresholds, transients), NaN where there is none."""
 
     cascade: Cascade
@@ -218,7 +218,7 @@ def _orbits(lanes: LaneExecutor, strobe: ReturnMap, u: np.ndarray, b: np.ndarray
 # ---- what is read off
 
 
-def slopes(study: Study, transients: np.ndarray) -> np.ndarray:
+def slopes(study: CascadeStudy, transients: np.ndarray) -> np.ndarray:
     """d ln β / d ln N measured and predicted over the same N, (2, levels, thresholds); NaN with fewer than three N."""
     n = study.cascade.n
     fits = np.full((2, len(n), len(THRESHOLDS)), np.nan)
@@ -259,12 +259,12 @@ class Agreement(NamedTuple):
     each: tuple[float, float]
 
 
-def checked_rows(study: Study) -> np.ndarray:
+def checked_rows(study: CascadeStudy) -> np.ndarray:
     """Levels whose published bias exceeds the rounding of its last digit, by number."""
     return np.flatnonzero(study.published_bias > 2 * HALF_DIGIT)
 
 
-def agreement(studies: list[Study], transients: np.ndarray, j: int) -> Agreement:
+def agreement(studies: list[CascadeStudy], transients: np.ndarray, j: int) -> Agreement:
     """Return how threshold number j agrees with the checked rows, biases interpolated between the N that were run."""
     fine = np.geomspace(transients[0], transients[-1], 2000)
     near, needed = [], []
@@ -285,7 +285,7 @@ def agreement(studies: list[Study], transients: np.ndarray, j: int) -> Agreement
     return Agreement(most, span(most), span(-(-len(near) // 2)), (min(needed), max(needed)))
 
 
-def nearest_pair(studies: list[Study]) -> tuple[int, int]:
+def nearest_pair(studies: list[CascadeStudy]) -> tuple[int, int]:
     """Index of the threshold and of the N whose biases come nearest to the published ones, all cascades together."""
     misfit = []
     for study in studies:
@@ -296,9 +296,9 @@ def nearest_pair(studies: list[Study]) -> tuple[int, int]:
     return int(j), int(k)
 
 
-def study_cascade(cascade: Cascade, lanes: LaneExecutor, transients: np.ndarray) -> Study:
+def study_cascade(cascade: Cascade, lanes: LaneExecutor, transients: np.ndarray) -> CascadeStudy:
     """Prediction and plain detection of one cascade."""
     with lanes.stage(f"{cascade.title}: plain detection", 0):
         law = measure_law(cascade, lanes)
         detected = detect(cascade, lanes, transients)
-    return Study(cascade, law, detected, cascade.before(detected), cascade.before(cascade.published))
+    return CascadeStudy(cascade, law, detected, cascade.before(detected), cascade.before(cascade.published))

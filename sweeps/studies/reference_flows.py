@@ -38,7 +38,7 @@ _LONGER_BY = 10
 _ACCURACY = "accuracy: {target: 1.0e-8}\n"
 
 
-class Case(NamedTuple):
+class ReferenceCase(NamedTuple):
     """A flow or a map.
 
     Attributes:
@@ -52,7 +52,7 @@ class Case(NamedTuple):
     longer: str = ""
 
 
-def cases() -> dict[str, Case]:
+def cases() -> dict[str, ReferenceCase]:
     """Return all flows and maps by name, flows first.
 
     Raises:
@@ -62,14 +62,14 @@ def cases() -> dict[str, Case]:
     return flows | {name: _map_case(name, values) for name, values in MAPS.items()}
 
 
-def _flow_case(flow: PublishedFlow) -> Case:
+def _flow_case(flow: PublishedFlow) -> ReferenceCase:
     begun, count = scene(flow) + _ACCURACY, len(flow.coordinates)
     whole, short = (begun + _lyapunov(_TRANSIENT, periods, count) for periods in (_PERIODS, _SHORT))
     longer = begun + _lyapunov(_TRANSIENT + _PERIODS, _LONGER_BY * _PERIODS, count)
-    return Case(flow.source, (whole, short), longer)
+    return ReferenceCase(flow.source, (whole, short), longer)
 
 
-def _map_case(name: str, values: Mapping[str, float]) -> Case:
+def _map_case(name: str, values: Mapping[str, float]) -> ReferenceCase:
     source = (ROOT / "configs" / "maps" / f"{name}.py").read_text(encoding="utf-8")
     config = (ROOT / "configs" / "maps" / f"{name}.yaml").read_text(encoding="utf-8")
     initial = re.search(r"^initial: .*$", config, re.M)
@@ -79,7 +79,7 @@ def _map_case(name: str, values: Mapping[str, float]) -> Case:
     sweep = ", ".join(f"{key}: {{values: [{value!r}]}}" for key, value in values.items())
     text = f"system: {{file: sys.py}}\n{initial[0]}\nsweep: {{{sweep}}}\n"
     count = names[1].count('"') // 2
-    return Case(source, (text + _lyapunov(_TRANSIENT, _ITERATES, count),))
+    return ReferenceCase(source, (text + _lyapunov(_TRANSIENT, _ITERATES, count),))
 
 
 def _lyapunov(transient: int, periods: int, exponents: int) -> str:

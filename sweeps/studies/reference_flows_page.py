@@ -99,12 +99,12 @@ def _row(flow: xr.Dataset) -> tuple[str, ...]:
         kind,
         f"{abs(float(flow['sum_rule_residual'])):.0e}",
         f"{float(flow['error_estimate']):.0e}" if np.isfinite(flow["error_estimate"]) else "–",
-        _beside(float(flow["published_largest"]), exponents[0], error[0]),
-        _beside(float(flow["published_kaplan_yorke"]), *dimension),
+        _format_published(float(flow["published_largest"]), exponents[0], error[0]),
+        _format_published(float(flow["published_kaplan_yorke"]), *dimension),
     )
 
 
-def _beside(published: float, value: float, error: float) -> str:
+def _format_published(published: float, value: float, error: float) -> str:
     """A published number, in bold where it lies outside of an error bar."""
     if math.isnan(published):
         return "–"

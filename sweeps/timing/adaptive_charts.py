@@ -19,7 +19,7 @@ from jaxnh.analyses.registry import ANALYSES
 from jaxnh.engine.levels.levels import lanes_near_changes
 
 
-class Refined(NamedTuple):
+class RefinementShares(NamedTuple):
     """Shares of the places of a chart: computed, and of another kind than in full, of all analyses and of each."""
 
     computed: float
@@ -39,7 +39,7 @@ def kinds_of(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def refined(kinds: Sequence[np.ndarray], levels: int) -> Refined:
+def refined(kinds: Sequence[np.ndarray], levels: int) -> RefinementShares:
     """The chart by so many levels."""
     known = np.zeros(0)
     seen: list[np.ndarray] = []
@@ -55,7 +55,7 @@ def refined(kinds: Sequence[np.ndarray], levels: int) -> Refined:
         seen = [np.where(known[..., None], kind, old[lower]) for kind, old in zip(truth, seen, strict=True)]
     other = [np.any(kind != one, axis=-1) for kind, one in zip(kinds, seen, strict=True)]
     differ = float(np.mean(np.any(other, axis=0)))
-    return Refined(float(known.mean()), differ, tuple(float(np.mean(one)) for one in other))
+    return RefinementShares(float(known.mean()), differ, tuple(float(np.mean(one)) for one in other))
 
 
 def main() -> None:

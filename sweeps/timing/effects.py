@@ -70,7 +70,7 @@ def page(folder: Path) -> str:
         ]
         for row in zip(*(columns[key] for key in _COLUMNS), strict=True):
             what, kind, with_it, without, ratio, stored, note = row
-            numbers = (_shown(with_it, ",.0f"), _shown(without, ",.0f"), _shown(ratio, ".2f"))
+            numbers = (_format(with_it, ",.0f"), _format(without, ",.0f"), _format(ratio, ".2f"))
             size = f"{stored:,.0f}" if _text(kind) == "analysis" else ""
             parts.append(f"| {_text(what)} | {' | '.join(numbers)} | {size} | {_text(note)} |")
         parts.append("")
@@ -88,7 +88,7 @@ def _text(value: object) -> str:
     return value.decode() if isinstance(value, bytes) else str(value)
 
 
-def _shown(number: float, form: str) -> str:
+def _format(number: float, form: str) -> str:
     return "–" if math.isnan(number) else format(number, form)
 
 

@@ -113,7 +113,7 @@ def views(first: View) -> dict[str, View]:
     return kinds
 
 
-def _seen(path: Path, name: str) -> dict[str, float]:
+def _time_view(path: Path, name: str) -> dict[str, float]:
     """Look at one view in this process."""
     source = open_recording(path)  # modules are imported now
     base, before, began, firsts = _memory(), _bytes_read(), time.perf_counter(), list[float]()
@@ -151,7 +151,7 @@ def main() -> None:
     parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.look:
-        print(json.dumps(_seen(given.file, given.look)))
+        print(json.dumps(_time_view(given.file, given.look)))
         return
     with tempfile.TemporaryDirectory() as folder:
         path = (given.folder or Path(folder)) / "chart.h5"

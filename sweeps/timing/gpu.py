@@ -123,7 +123,7 @@ PROGRAMS: dict[str, tuple[Any, Any]] = {"particle": (peers_jaxnh, peers_diffrax)
 PROGRAMS |= dict.fromkeys(("duffing", "lorenz"), (peers_flow_jaxnh, peers_flow_diffrax))
 
 
-class Tuned(NamedTuple):
+class TunedScene(NamedTuple):
     """A map's lanes with their true ends, and the settings of both programs that keep each error.
 
     Attributes:
@@ -135,7 +135,7 @@ class Tuned(NamedTuple):
     settings: Mapping[float, tuple[list[Setting], list[Setting]]]
 
 
-def tuned_maps(sizes: Sizes) -> dict[str, Tuned]:
+def tuned_maps(sizes: Sizes) -> dict[str, TunedScene]:
     """Tune both programs on the maps of the particle, Duffing and Lorenz; the device changes no setting.
 
     Of diffrax Dopri8 alone is tried, the particle's velocity as an angle: at these errors the others evaluate the field
@@ -154,11 +154,11 @@ def tuned_maps(sizes: Sizes) -> dict[str, Tuned]:
         scene = peers_flow_heyoka.true_scene(flow, flow.values) if flow else peers_heyoka.true_scene(paper(0.1))
         ours, stock = (program.Contestant(scene) for program in programs)
         settings = {target: (ours.tune(target), stock.tune(target, wanted=wanted)) for target in sizes.targets}
-        tuned[name] = Tuned(scene, settings)
+        tuned[name] = TunedScene(scene, settings)
     return tuned
 
 
-def measured_maps(sizes: Sizes, tuned: Mapping[str, Tuned]) -> Iterator[MapRow]:
+def measured_maps(sizes: Sizes, tuned: Mapping[str, TunedScene]) -> Iterator[MapRow]:
     """Yield the maps of the particle, Duffing and Lorenz, each beside stock diffrax at the same error.
 
     Which setting is the fastest is found at the second number of lanes.

@@ -53,7 +53,7 @@ def system(force=8.0):
 """
 
 
-class Scene(NamedTuple):
+class TimedConfig(NamedTuple):
     """A config that is timed.
 
     Attributes:
@@ -71,21 +71,21 @@ class Scene(NamedTuple):
 
 _PAGE_ON_RIGHT_HAND_SIDES = ("sweep.rho.count=64", "analyses.diagram.transient=16", "analyses.lyapunov.transient=16")
 SCENES = {
-    "table1": Scene("configs/table1.yaml", asked=(10.0, 4.0)),
-    "table2": Scene("configs/table2.yaml"),
-    "fig04": Scene("configs/fig04.yaml"),
-    "governor": Scene("configs/governor.yaml"),
-    "small": Scene(SMALL),
-    "lorenz": Scene(
+    "table1": TimedConfig("configs/table1.yaml", asked=(10.0, 4.0)),
+    "table2": TimedConfig("configs/table2.yaml"),
+    "fig04": TimedConfig("configs/fig04.yaml"),
+    "governor": TimedConfig("configs/governor.yaml"),
+    "small": TimedConfig(SMALL),
+    "lorenz": TimedConfig(
         "configs/flows/lorenz.yaml", (*_PAGE_ON_RIGHT_HAND_SIDES, "analyses.lyapunov.periods=64"), asked=(7.0, 2.5)
     ),
-    "oscillating_mass": Scene(
+    "oscillating_mass": TimedConfig(
         "configs/nonholonomic/oscillating_mass.yaml", ("sweep.amplitude.count=24",), asked=(15.0, None)
     ),
-    "lorenz96": Scene(LORENZ96, file=("lorenz96.py", LORENZ96_FILE), asked=(12.0, None)),
-    "double_pendulum": Scene("configs/flows/double_pendulum.yaml", ("sweep.ratio.count=12",), asked=(15.0, None)),
-    "rolling_disk": Scene("configs/flows/rolling_disk.yaml", asked=(30.0, None)),
-    "roller_racer": Scene("configs/nonholonomic/roller_racer.yaml", asked=(30.0, None)),
+    "lorenz96": TimedConfig(LORENZ96, file=("lorenz96.py", LORENZ96_FILE), asked=(12.0, None)),
+    "double_pendulum": TimedConfig("configs/flows/double_pendulum.yaml", ("sweep.ratio.count=12",), asked=(15.0, None)),
+    "rolling_disk": TimedConfig("configs/flows/rolling_disk.yaml", asked=(30.0, None)),
+    "roller_racer": TimedConfig("configs/nonholonomic/roller_racer.yaml", asked=(30.0, None)),
 }
 """Scenes by name; `lorenz` is that of the how-to page on right-hand sides."""
 
@@ -109,7 +109,7 @@ has 24 values and `double_pendulum` 12; `lorenz96` has ten coordinates, 12 value
 """
 
 
-class Sample(NamedTuple):
+class RunSeconds(NamedTuple):
     """Seconds of one run.
 
     Attributes:
@@ -137,11 +137,11 @@ class Checkout(NamedTuple):
         return str(own if own.exists() else sys.executable)
 
 
-Measured = Mapping[tuple[str, str, str], Sequence[Sample]]
+Timings = Mapping[tuple[str, str, str], Sequence[RunSeconds]]
 """Samples by scene, cache and name of the checkout."""
 
 
-def run_once(checkout: Checkout, scene: str, cache: Path, folder: Path) -> Sample:
+def run_once(checkout: Checkout, scene: str, cache: Path, folder: Path) -> RunSeconds:
     """One run of a scene into a folder, with its programs in a cache.
 
     Raises:
@@ -165,14 +165,14 @@ def run_once(checkout: Checkout, scene: str, cache: Path, folder: Path) -> Sampl
     found = json.loads(record.read_text(encoding="utf-8"))
     if found["code"] or Path(found["package"]).parent.resolve() != checkout.folder.resolve():
         raise RuntimeError(f"{scene} ended with {found['code']}, of {found['package']}: {done.stderr.strip()[-500:]}")
-    return Sample(whole, found["seconds"])
+    return RunSeconds(whole, found["seconds"])
 
 
 def measure(
     scenes: Sequence[str], checkouts: Sequence[Checkout], repeats: int
-) -> dict[tuple[str, str, str], list[Sample]]:
+) -> dict[tuple[str, str, str], list[RunSeconds]]:
     """All samples: of each scene first with empty caches, then with kept ones, checkouts in turn."""
-    found: dict[tuple[str, str, str], list[Sample]] = {}
+    found: dict[tuple[str, str, str], list[RunSeconds]] = {}
     with tempfile.TemporaryDirectory(prefix="jaxnh_startup_") as name:
         for number, (scene, repeat) in enumerate((scene, repeat) for scene in scenes for repeat in range(repeats)):
             for checkout in checkouts:
@@ -186,7 +186,7 @@ def measure(
     return found
 
 
-def table(measured: Measured) -> Iterator[str]:
+def table(measured: Timings) -> Iterator[str]:
     """Lines of the page: a row a scene, cache and checkout; last what was asked for, and the other checkout's share."""
     yield "| scene | cache | code | whole | " + " | ".join(PARTS) + " | asked for | share |"
     yield "| :-- | :-- | :-- |" + " --: |" * (len(PARTS) + 3)
@@ -201,7 +201,7 @@ def table(measured: Measured) -> Iterator[str]:
         yield f"| {scene} | {cache} | {name} | {' | '.join(f'{x:.2f}' for x in (whole, *parts))} | {asked} | {share} |"
 
 
-def page(measured: Measured, repeats: int) -> str:
+def page(measured: Timings, repeats: int) -> str:
     """The page of results."""
     names = list(dict.fromkeys(name for _, _, name in measured))
     turns = f", {' and '.join(names)} in turn" if len(names) > 1 else ""

@@ -53,7 +53,7 @@ def main() -> None:
 
     name = "LaneExecutor" if hasattr(run, "LaneExecutor") else "Lanes"  # of a checkout from before it was called so
 
-    class Watched(getattr(run, name)):
+    class WatchedExecutor(getattr(run, name)):
         def __init__(self, *arguments: Any, **options: Any) -> None:
             super().__init__(*arguments, **options)
             runners.append(self)
@@ -73,7 +73,7 @@ def main() -> None:
             in_calibration.update({key: value - before[key] for key, value in spent().items()})
 
     plain = run.decide
-    setattr(run, name, Watched)
+    setattr(run, name, WatchedExecutor)
     run.decide = clock.timed("calibration", decide)
     run.merge = clock.timed("writing", run.merge)
     jax.stages.Lowered.compile = clock.timed("compiling", jax.stages.Lowered.compile)  # pyright: ignore[reportAttributeAccessIssue]

@@ -23,7 +23,7 @@ from tests.flows.particle import SYSTEMS, twin
 from tests.helpers import taylor
 from tests.helpers.batches import batch_of
 from tests.helpers.kept_programs import lanes_with_kept_programs
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 from tests.helpers.memory import peak_memory
 from tests.helpers.paths import ROOT
 
@@ -64,7 +64,7 @@ def test_strobes_from_a_fixed_start_are_those_of_the_reference(name, transient):
     for k in range(3):
         periods = transient + k
         exact = taylor.strobe(par, B, start, periods) if periods else start
-        assert apart(ours[:, k], exact).max() < (TOLERANCE if periods else 1e-15)
+        assert largest_difference(ours[:, k], exact).max() < (TOLERANCE if periods else 1e-15)
 
 
 @pytest.mark.parametrize("phase", [0.25, 0.5])
@@ -92,7 +92,7 @@ def test_a_carried_state_is_a_plain_loop_over_b(start, order):
         state = taylor.strobe(par, B[i], state, 2)[0]
         for k in range(3):
             state = taylor.strobe(par, B[i], state)[0] if k else state
-            assert apart(ours[i, k], state) < TOLERANCE
+            assert largest_difference(ours[i, k], state) < TOLERANCE
 
 
 def test_a_carried_state_does_not_feel_where_a_call_ends(monkeypatch):

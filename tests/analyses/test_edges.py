@@ -81,7 +81,7 @@ def words(data, name):
     return {meanings[k] for k in np.unique(variable.to_numpy()).tolist()}
 
 
-def within(data, name, exact):
+def is_within_error(data, name, exact):
     """Whether numbers are as exact as their errors say."""
     off = np.abs(data[name].to_numpy() - exact)
     return bool(np.all(off <= data[f"{name}_error"].to_numpy()))
@@ -95,12 +95,12 @@ def test_two_wells_of_a_map():
     assert words(data, "kind") == {"saddle_orbit"}
     assert np.all(data["attractors"] == 2)
     assert np.all(data["edge_state"] == 1)
-    assert within(data, "x_edge", 0.0)
-    assert within(data, "multiplier", 1.0 + a[:, None])
+    assert is_within_error(data, "x_edge", 0.0)
+    assert is_within_error(data, "multiplier", 1.0 + a[:, None])
     assert data["multiplier_error"].max() < 1e-12
     shock = np.minimum(np.sqrt(a), np.sqrt(1.0 + a) - np.sqrt(a))[:, None]
     both = data.isel(attractor=[0, 1])
-    assert within(both, "shock", shock)
+    assert is_within_error(both, "shock", shock)
     assert both["shock_error"].max() < 1e-10
     assert np.abs(np.abs(both["x_shock"]) - shock).max() < 1e-10
     assert both["shock_to"].values.tolist() == [[2, 1]] * 3
@@ -135,9 +135,9 @@ def test_two_wells_of_a_flow():
     )
     assert np.all(data["attractors"] == 2)
     assert words(data, "kind") == {"saddle_orbit"}
-    assert within(data, "x_edge", 0.0)
-    assert within(data, "multiplier", np.exp(a)[:, None])
-    assert within(data, "shock", np.sqrt(a)[:, None] / 1.5)
+    assert is_within_error(data, "x_edge", 0.0)
+    assert is_within_error(data, "multiplier", np.exp(a)[:, None])
+    assert is_within_error(data, "shock", np.sqrt(a)[:, None] / 1.5)
     assert data["shock_error"].max() < 1e-6
     assert np.abs(np.abs(data["x_shock"]) - np.cos(TURN) * np.sqrt(a)[:, None]).max() < 1e-4
     assert data["shock_to"].values.tolist() == [[2, 1]] * 2
@@ -148,10 +148,10 @@ def test_bars_cover():
     """Of 64 maps with two wells and 40 of Henon's: all numbers that are known in closed form are within their errors."""
     a = np.linspace(0.03, 0.97, 64)
     data = jaxnh.Session(two_wells, start={"x": 0.3}).run(jaxnh.Edges(box={"x": (-1.0, 1.0)}, n_starts=16), a=a)
-    assert within(data, "x_edge", 0.0)
-    assert within(data, "multiplier", 1.0 + a[:, None])
+    assert is_within_error(data, "x_edge", 0.0)
+    assert is_within_error(data, "multiplier", 1.0 + a[:, None])
     shock = np.minimum(np.sqrt(a), np.sqrt(1.0 + a) - np.sqrt(a))[:, None]
-    assert within(data.isel(attractor=[0, 1]), "shock", shock)
+    assert is_within_error(data.isel(attractor=[0, 1]), "shock", shock)
     a, b = np.linspace(0.8, 1.2, 40), 0.3
     options = jaxnh.Edges(box={"x": (-2.0, 2.0), "y": (-1.0, 1.0)}, pairs=2, n_starts=16, directions=0)
     data = jaxnh.Session(henon, start={"x": 0.1}).run(options, a=a).stack(edge=("a", "pair"))
@@ -161,10 +161,10 @@ def test_bars_cover():
     a = data["a"].to_numpy()
     saddle = (-(1 - b) - np.sqrt((1 - b) ** 2 + 4.0 * a)) / (2.0 * a)
     root = np.sqrt((a * saddle) ** 2 + b)
-    assert within(data, "x_edge", saddle)
-    assert within(data, "y_edge", b * saddle)
-    assert within(data, "multiplier", root - a * saddle)
-    assert within(data, "second_multiplier", np.abs(-root - a * saddle))
+    assert is_within_error(data, "x_edge", saddle)
+    assert is_within_error(data, "y_edge", b * saddle)
+    assert is_within_error(data, "multiplier", root - a * saddle)
+    assert is_within_error(data, "second_multiplier", np.abs(-root - a * saddle))
 
 
 def test_lanes_are_independent():
@@ -215,10 +215,10 @@ def test_the_basin_of_henons_attractor():
     assert np.all(one["edge_to"] == 0)
     saddle = (-(1 - b) - np.sqrt((1 - b) ** 2 + 4.0)) / 2.0
     root = np.sqrt(saddle**2 + b)
-    assert within(one, "x_edge", saddle)
-    assert within(one, "y_edge", b * saddle)
-    assert within(one, "multiplier", -saddle + root)
-    assert within(one, "second_multiplier", np.abs(-saddle - root))
+    assert is_within_error(one, "x_edge", saddle)
+    assert is_within_error(one, "y_edge", b * saddle)
+    assert is_within_error(one, "multiplier", -saddle + root)
+    assert is_within_error(one, "second_multiplier", np.abs(-saddle - root))
     direction = np.array([one["x_direction"][0], one["y_direction"][0]])
     matrix = np.array([[-2.0 * saddle, 1.0], [b, 0.0]])
     assert np.abs(matrix @ direction - (-saddle + root) * direction).max() < 1e-9
@@ -277,10 +277,10 @@ def test_the_cycle_between_duffings_wells():
     assert words(data, "kind") == {"saddle_orbit"}
     for name, value in zip(("x_edge", "v_edge"), point, strict=True):
         assert abs(float(data[name].squeeze()) - value) < 1e-9
-    assert within(data, "x_edge", point[0] + 0.0 * data["x_edge"].to_numpy())
-    assert within(data, "multiplier", larger)
+    assert is_within_error(data, "x_edge", point[0] + 0.0 * data["x_edge"].to_numpy())
+    assert is_within_error(data, "multiplier", larger)
     assert data["multiplier_error"].max() < 1e-6 * larger
-    assert within(data, "second_multiplier", smaller)
+    assert is_within_error(data, "second_multiplier", smaller)
 
 
 def stable_manifold(d):
@@ -322,9 +322,9 @@ def test_the_least_shock_of_a_double_well():
     options = jaxnh.Edges(box=BOX, n_starts=8, pairs=1, directions=8)
     data = jaxnh.Session(double_well, start={"x": 0.3, "v": 0.0}, target=1e-9).run(options, d=damping)
     assert words(data, "kind") == {"equilibrium"}
-    assert within(data, "x_edge", 0.0)
+    assert is_within_error(data, "x_edge", 0.0)
     growth = np.exp(-0.5 * damping + np.sqrt(0.25 * damping**2 + 1.0))
-    assert within(data, "multiplier", growth[:, None])
+    assert is_within_error(data, "multiplier", growth[:, None])
     exact = np.array([distance_to_manifold(d, np.array([1.5, 3.0])) for d in damping])
     shocks = data.isel(attractor=[0, 1])
     assert np.abs(shocks["shock"].to_numpy() - exact[:, None]).max() < 1e-9
@@ -340,9 +340,9 @@ def test_a_cycle_between_cycles():
         jaxnh.Edges(n_starts=8, box={"x": (0.5, 3.5), "y": (-1.5, 1.5)}, pairs=2, directions=8), rate=rate
     )
     assert words(data, "kind") == {"saddle_orbit"}
-    assert within(data, "x_edge", 2.0)
-    assert within(data, "multiplier", np.exp(4 * np.pi * rate)[:, None])
-    assert within(data.isel(attractor=[0, 1]), "shock", 1.0 / 1.5)
+    assert is_within_error(data, "x_edge", 2.0)
+    assert is_within_error(data, "multiplier", np.exp(4 * np.pi * rate)[:, None])
+    assert is_within_error(data.isel(attractor=[0, 1]), "shock", 1.0 / 1.5)
 
 
 def tinkerbell(a=0.9):

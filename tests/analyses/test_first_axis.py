@@ -8,7 +8,7 @@ import pytest
 from jaxnh.engine.experiment import Experiment
 from tests.helpers import taylor
 from tests.helpers.kept_programs import session_of
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 
 NAMES = ("x1", "x2", "y1", "y2")
 
@@ -52,4 +52,4 @@ def test_state_carried_along_a_shared_parameter(name):
         par = taylor.Parameters(**{name: values[k]})
         for strobe in range(2):
             state = taylor.strobe(par, 2.5, state)
-            assert apart(ours[k, strobe][None], state).max() < 1e-6
+            assert largest_difference(ours[k, strobe][None], state).max() < 1e-6

@@ -89,7 +89,7 @@ analyses: {{portrait: {{}}}}
 LOOK = {"max_period": 4, "transient": 256}
 
 
-def found(flow, analysis, plane=False, **options):
+def groups_of(flow, analysis, plane=False, **options):
     """The groups of an analysis."""
     with mock.patch.object(general_flow, "_LARGEST_STEP", 0):
         return session(flow, plane).groups({analysis: options})
@@ -112,7 +112,7 @@ def rates_of(flow, value):
 
 def near_the_doubling(flow):
     """The value of the parameter and the point in the section on our branch that is nearest to it."""
-    branch, along = found(flow, "branches", **LOOK)["branches"], FLOWS[flow]["along"]
+    branch, along = groups_of(flow, "branches", **LOOK)["branches"], FLOWS[flow]["along"]
     at = int(np.nanargmin(np.abs(branch["multipliers"][0, :, 0, 0].to_numpy() + 1)))
     return float(branch[along][0, at]), [float(branch[name][0, at]) for name in coordinates(flow)]
 
@@ -133,12 +133,12 @@ def doubling_by_heyoka(flow, other=None):
 @FLOW
 def test_period(flow):
     """Periods on both sides of the doubling, and the multiplier of the orbit where it attracts."""
-    data, known = found(flow, "period", **LOOK)["period"], FLOWS[flow]
+    data, known = groups_of(flow, "period", **LOOK)["period"], FLOWS[flow]
     values, exact = data[known["along"]].to_numpy(), doubling_by_heyoka(flow)
     there = known["attracts"] * (values - exact) > 0
     doubled = 2 * known["period"] if 2 * known["period"] <= 4 else 0
     assert data["period"].to_numpy().tolist() == np.where(there, known["period"], doubled).tolist()
-    branch = found(flow, "branches", **LOOK)["branches"]
+    branch = groups_of(flow, "branches", **LOOK)["branches"]
     lane = int(np.flatnonzero(there)[0])
     at = int(np.nanargmin(np.abs(branch[known["along"]][0].to_numpy() - values[lane])))
     image = returns(flow)
@@ -152,7 +152,7 @@ def test_period(flow):
     ("analysis", "options"), [("doubling", {"levels": 1}), ("windows", {"levels": 1, "crisis": 0, **LOOK})]
 )
 def test_doubling(flow, analysis, options):
-    data, along = found(flow, analysis, **options)[analysis], FLOWS[flow]["along"]
+    data, along = groups_of(flow, analysis, **options)[analysis], FLOWS[flow]["along"]
     name = along if analysis == "doubling" else "doubling"
     assert data["period"].to_numpy().tolist() == [FLOWS[flow]["period"]]
     value, error = float(data[name].to_numpy().item()), float(data[f"{name}_error"].to_numpy().item())
@@ -162,7 +162,7 @@ def test_doubling(flow, analysis, options):
 @FLOW
 def test_branches(flow):
     """The doubling, and points on the branch, stable or not."""
-    groups, known = found(flow, "branches", **LOOK), FLOWS[flow]
+    groups, known = groups_of(flow, "branches", **LOOK), FLOWS[flow]
     branch, data = groups["branches"], groups["bifurcations"]
     kinds = data["kind"].attrs["flag_meanings"].split()
     assert [kinds[k] for k in data["kind"].to_numpy()] == ["period_doubling"]
@@ -179,7 +179,7 @@ def test_branches(flow):
 @FLOW
 def test_curves(flow):
     """The doubling over two parameters, at both ends of the other one."""
-    data, known = found(flow, "curves", plane=True, n_values=1, ds=0.1, ds_max=0.25, **LOOK)["curves"], FLOWS[flow]
+    data, known = groups_of(flow, "curves", plane=True, n_values=1, ds=0.1, ds_max=0.25, **LOOK)["curves"], FLOWS[flow]
     other, *ends = known["and"]
     kinds = data["kind"].attrs["flag_meanings"].split()
     assert [kinds[k] for k in data["kind"].to_numpy()] == ["period_doubling"]

@@ -21,7 +21,7 @@ from jaxnh.systems.particle import constant_speed
 from tests.flows.particle import twin
 from tests.helpers import taylor
 from tests.helpers.kept_programs import session_of
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 
 TARGET, STEPS, TRANSIENT = 1e-6, 414, 64
 B = 5.475
@@ -53,7 +53,7 @@ def test_error_after_the_first_look(lanes):
         maps = (replace(others, steps=n).strobe() for n in (steps, 3 * steps // 4))
         images = [lanes(lambda strobe, z: strobe(z, {}), (strobe,), (state,)) for strobe in maps]
         for found, image in zip((worst, with_fewer), images, strict=True):
-            found.append(apart(SYSTEM.chart.host_points(image), exact).max())
+            found.append(largest_difference(SYSTEM.chart.host_points(image), exact).max())
         state = images[0]
     assert max(worst) < TARGET < max(with_fewer)
 

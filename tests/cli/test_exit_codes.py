@@ -25,7 +25,7 @@ def variable(dims, data, name):
 
 
 @pytest.fixture
-def made(tmp_path):
+def result_file(tmp_path):
     """A result of one group, large enough that its data lie in blocks of their own."""
     path = tmp_path / "made.h5"
     b = np.linspace(1, 2, 60)
@@ -54,14 +54,14 @@ def broken(*_, **__):
 
 @pytest.mark.parametrize("debug", [False, True])
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_fault_of_the_program_is_no_damage(made, tmp_path, command, monkeypatch, name, debug):
+def test_a_fault_of_the_program_is_no_damage(result_file, tmp_path, command, monkeypatch, name, debug):
     """A sound file and a program that fails: code 1 and one line, and the traceback where it is asked for."""
     monkeypatch.setattr(inspection, "_facts", broken)
     monkeypatch.setattr(results, "lay_out", broken)
     monkeypatch.setattr("jaxnh.cli.arguments.read_config", broken)
     if debug:
         monkeypatch.setenv("JAXNH_DEBUG", "1")
-    code, _, err = command(name, made if name in ("plot", "inspect") else tmp_path / "job.yaml")
+    code, _, err = command(name, result_file if name in ("plot", "inspect") else tmp_path / "job.yaml")
     assert code == 1
     lines = err.splitlines()
     assert lines[-1] == "failed: TypeError: a fault of the program"
@@ -81,32 +81,32 @@ def test_bad_input_has_its_traceback_on_request(tmp_path, command, monkeypatch, 
 
 
 @pytest.mark.parametrize("name", ["plot", "inspect"])
-def test_damaged_data_are_damage(made, command, name):
+def test_damaged_data_are_damage(result_file, command, name):
     """A bit of a compressed block: HDF5 finds it, and the line names the file and the variable."""
-    with h5py.File(made) as file:
+    with h5py.File(result_file) as file:
         place = file["diagram/x1"].id.get_chunk_info(0).byte_offset
-    content = bytearray(made.read_bytes())
+    content = bytearray(result_file.read_bytes())
     content[place + 200] ^= 1
-    made.write_bytes(content)
-    code, _, err = command(name, made)
+    result_file.write_bytes(content)
+    code, _, err = command(name, result_file)
     assert (code, len(err.splitlines())) == (2, 1)
     assert err.startswith("command line: FILE: ")
-    assert str(made) in err
+    assert str(result_file) in err
     assert "damaged" in err
 
 
-def test_damage_is_said_on_evidence_alone(made, tmp_path):
+def test_damage_is_said_on_evidence_alone(result_file, tmp_path):
     """Of a sound file an error stays what it is; without checksums HDF5's own word counts, and no other."""
     error = ValueError("anything")
-    assert fault_of(made, error) is error
+    assert fault_of(result_file, error) is error
     bare = tmp_path / "bare.h5"
     with h5py.File(bare, "w") as file:
         file.attrs["jaxnh_version"] = "0"
     assert fault_of(bare, error) is error
     assert isinstance(fault_of(bare, OSError("cannot read data")), DamagedError)
-    with h5py.File(made, "r+") as file:
+    with h5py.File(result_file, "r+") as file:
         file["diagram"].attrs["panel"] = "points"
-    assert isinstance(fault_of(made, error), DamagedError)
+    assert isinstance(fault_of(result_file, error), DamagedError)
 
 
 SMALL = """\

@@ -32,7 +32,7 @@ analyses:
 
 
 @pytest.fixture(scope="module")
-def made(result, tmp_path_factory):
+def result_file(result, tmp_path_factory):
     source = tmp_path_factory.mktemp("source") / "looked.yaml"
     source.write_text(CONFIG)
     return result("looked", source)[0]
@@ -42,14 +42,14 @@ def inspect(*arguments):
     return run_here(*arguments, command="inspect")
 
 
-def test_screen(made):
+def test_screen(result_file):
     """Provenance, groups with their sizes, units and ranges, on one screen."""
-    run = inspect(made)
+    run = inspect(result_file)
     assert (run.returncode, run.stderr) == (0, "")
     lines = run.stdout.splitlines()
     assert len(lines) < 45
     assert max(map(len, lines)) <= 110
-    with h5py.File(made) as file:
+    with h5py.File(result_file) as file:
         exponents = file["lyapunov/exponents"][()]
         steps = file.attrs["lane_periods"]
     text = " ".join(run.stdout.split())
@@ -63,17 +63,17 @@ def test_screen(made):
     assert ", levels_found 1" in text
 
 
-def test_it_needs_no_jax(made):
-    code = f"import sys; sys.argv = ['inspect', {str(made)!r}]; from jaxnh import inspect; inspect.main(); sys.exit('jax' in sys.modules)"
+def test_it_needs_no_jax(result_file):
+    code = f"import sys; sys.argv = ['inspect', {str(result_file)!r}]; from jaxnh import inspect; inspect.main(); sys.exit('jax' in sys.modules)"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     assert (
         subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=False).returncode == 0
     )
 
 
-def test_verify_runs_lanes_again(made, tmp_path):
+def test_verify_runs_lanes_again(result_file, tmp_path):
     """All lanes of a sweep so small are in the sample; one whose last bit differs is found by it alone."""
-    run = inspect(made, "--verify")
+    run = inspect(result_file, "--verify")
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines()[-4:] == [
         "all data, names and attributes fit their checksums",
@@ -82,7 +82,7 @@ def test_verify_runs_lanes_again(made, tmp_path):
         "doubling: runs as a whole, not lane by lane",
     ]
     other = tmp_path / "other.h5"
-    other.write_bytes(made.read_bytes())
+    other.write_bytes(result_file.read_bytes())
     with h5py.File(other, "r+") as file:  # changed and sealed anew, as by a program that computes other numbers
         data = file["lyapunov/exponents"]
         data[3, 0] = np.nextafter(data[3, 0], 9)
@@ -93,16 +93,16 @@ def test_verify_runs_lanes_again(made, tmp_path):
     assert "lyapunov: run again, 1 of 48 lanes differ" in run.stderr
 
 
-def test_table(made):
+def test_table(result_file):
     """A row a lane, start and strobe; numbers to the last digit."""
-    rows = list(csv.reader(io.StringIO(inspect(made, "--csv", "diagram").stdout)))
+    rows = list(csv.reader(io.StringIO(inspect(result_file, "--csv", "diagram").stdout)))
     assert rows[0] == ["b", "start", "strobe", "x1", "x2", "y1", "y2", "status"]
     assert len(rows) == 1 + 32 * 2 * 3
-    with h5py.File(made) as file:
+    with h5py.File(result_file) as file:
         x1, b = file["diagram/x1"][()], file["diagram/b"][()]
     np.testing.assert_array_equal(np.array([row[3] for row in rows[1:]], float), x1.ravel())
     np.testing.assert_array_equal(np.array([row[0] for row in rows[1:]], float), np.repeat(b, 6))
-    rows = list(csv.reader(io.StringIO(inspect(made, "--csv", "lyapunov").stdout)))
+    rows = list(csv.reader(io.StringIO(inspect(result_file, "--csv", "lyapunov").stdout)))
     assert rows[0][:4] == ["b", "exponent", "exponents", "exponents_error"]
     assert len(rows) == 1 + 32 * 2
 
@@ -215,16 +215,16 @@ def test_file_without_axes(tmp_path):
     assert inspect(path, "--csv", "solvers").stdout == "target,time\n1e-06,1.0\n1e-09,1.0\n"
 
 
-def test_what_is_no_result(made, tmp_path):
+def test_what_is_no_result(result_file, tmp_path):
     """One line and exit code 2: not there, a folder, text, cut off, another program's, a flipped bit, no such group."""
     text, cut, other, bad = (tmp_path / name for name in ("text.h5", "cut.h5", "other.h5", "bad.h5"))
     text.write_text("hello")
-    cut.write_bytes(made.read_bytes()[:9000])
+    cut.write_bytes(result_file.read_bytes()[:9000])
     with h5py.File(other, "w") as file:
         file.attrs["title"] = "something else"
-    with h5py.File(made) as file:
+    with h5py.File(result_file) as file:
         place = file["diagram/b"].id.get_offset()
-    content = bytearray(made.read_bytes())
+    content = bytearray(result_file.read_bytes())
     content[place + 9] ^= 1
     bad.write_bytes(content)
     folder_of(tmp_path / "begun.h5").mkdir()
@@ -236,7 +236,7 @@ def test_what_is_no_result(made, tmp_path):
         ([cut], "is not a readable HDF5 file"),
         ([other], "is an HDF5 file, but not a result of jaxnh"),
         ([bad, "--verify"], "the data of /diagram/b do not fit their checksum"),
-        ([made, "--csv", "poincare"], "has the groups diagram, lyapunov, doubling, and no poincare"),
+        ([result_file, "--csv", "poincare"], "has the groups diagram, lyapunov, doubling, and no poincare"),
     ):
         run = inspect(*arguments)
         assert run.returncode == 2
@@ -253,10 +253,10 @@ def test_what_is_no_result(made, tmp_path):
         ("diagram/below/x", "has the group /diagram/below within a group"),
     ],
 )
-def test_layout_of_no_result(made, tmp_path, place, words, arguments):
+def test_layout_of_no_result(result_file, tmp_path, place, words, arguments):
     """A variable in the root, or a group in a group: one line in plain words."""
     other = tmp_path / "other.h5"
-    other.write_bytes(made.read_bytes())
+    other.write_bytes(result_file.read_bytes())
     with h5py.File(other, "r+") as file:
         file[place] = np.zeros(3)
     run = inspect(other, *arguments)

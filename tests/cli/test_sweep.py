@@ -46,7 +46,7 @@ def config(tmp_path):
 
 
 @pytest.fixture
-def done(result, tmp_path_factory, tmp_path):
+def small_run(result, tmp_path_factory, tmp_path):
     """A config, its result beside it, and what was printed; the run itself is shared, the files are not."""
     source = tmp_path_factory.mktemp("source") / "small.yaml"
     source.write_text(CONFIG)
@@ -155,9 +155,9 @@ def test_target_out_of_reach(sweep, config):
 # ---- what is there already
 
 
-def test_run_and_what_it_leaves(done, exact):
+def test_run_and_what_it_leaves(small_run, exact):
     """One doubling, as the reference has it; on the terminal, in the file, and one file alone."""
-    config, path, out, _ = done
+    config, path, out, _ = small_run
     with h5py.File(path) as file:
         b, error = file["doubling/b"][0], file["doubling/b_error"][0]
         assert file.attrs["config"] == CONFIG
@@ -167,9 +167,9 @@ def test_run_and_what_it_leaves(done, exact):
     assert tree(path.parent) == {config: CONFIG.encode(), path: path.read_bytes()}
 
 
-def test_same_config_is_not_run_again(sweep, done):
+def test_same_config_is_not_run_again(sweep, small_run):
     """Also with other comments, title and spelling of numbers: it says so, exits with 0, and the file is the same."""
-    config, path, _, _ = done
+    config, path, _, _ = small_run
     config.write_text("# again\n" + CONFIG.replace("One doubling", "Another title").replace("1.0e-6", "1e-6"))
     before = tree(config.parent)
     run = sweep(config.name, "--output", path.name, cwd=config.parent)
@@ -178,8 +178,8 @@ def test_same_config_is_not_run_again(sweep, done):
     assert tree(config.parent) == before
 
 
-def test_result_of_another_config_is_not_replaced(sweep, done):
-    config, path, _, _ = done
+def test_result_of_another_config_is_not_replaced(sweep, small_run):
+    config, path, _, _ = small_run
     message = refused(sweep, config.parent, config.name, "sweep.b.count=65", "--output", path.name)
     assert message == "command line: --output: small.h5 holds the result of another config; --fresh replaces it"
 
@@ -198,9 +198,9 @@ def test_a_config_is_never_replaced_by_its_result(sweep, config):
     assert config.read_bytes() == before
 
 
-def test_damaged_result_is_not_there(sweep, done):
+def test_damaged_result_is_not_there(sweep, small_run):
     """One bit of its data, as inspect finds it: it is said, with what to do, and nothing is touched until then."""
-    config, path, _, _ = done
+    config, path, _, _ = small_run
     with h5py.File(path) as file:
         at = file["doubling/b"].id.get_offset()
     data = bytearray(path.read_bytes())
@@ -242,9 +242,9 @@ def test_output_that_is_a_link(sweep, config, tmp_path_factory):
     assert run.stderr.splitlines() == ["command line: --output: circle.h5 is a link that leads nowhere"]
 
 
-def test_fresh_replaces(sweep, done):
+def test_fresh_replaces(sweep, small_run):
     """Another config's result by the one asked for; and the same config gives the same numbers bit for bit."""
-    config, path, _, _ = done
+    config, path, _, _ = small_run
     with h5py.File(path) as file:
         first = file["doubling/b"][()]
     run = sweep(config.name, "--output", path.name, "--fresh", cwd=config.parent)

@@ -39,7 +39,7 @@ def table(*arguments):
     return terminal.show(doubling.table(*arguments))
 
 
-def shown(renderable, width=200):
+def rendered(renderable, width=200):
     console = Console(file=io.StringIO(), width=width)
     console.print(renderable)
     return console.file.getvalue()
@@ -56,7 +56,7 @@ def cells(text):
 
 def test_table_beside_published_values():
     """Theirs, ours with its error, theirs less ours, and both δ; a dash where there is no number."""
-    text = shown(table(dataset(), PUBLISHED, "paper"))
+    text = rendered(table(dataset(), PUBLISHED, "paper"))
     assert cells(text) == [
         ["1 → 2", "5.250100", "5.250000000000", "2.5e-12", "+1.0e-04", "–", "–"],
         ["2 → 4", "5.124900", "5.125000000000", "1.0e-09", "-1.0e-04", "4.5000", "4.669202"],
@@ -70,7 +70,7 @@ def test_table_beside_published_values():
 
 def test_table_alone():
     """Without published values there are no columns for them, and without a limit no line about it."""
-    text = shown(table(dataset(np.nan, np.nan), {}, ""))
+    text = rendered(table(dataset(np.nan, np.nan), {}, ""))
     assert cells(text) == [
         ["1 → 2", "5.250000000000", "2.5e-12", "–"],
         ["2 → 4", "5.125000000000", "1.0e-09", "4.669202"],
@@ -84,13 +84,13 @@ def test_table_alone():
 def test_published_values_fewer_or_more(count):
     """They go by their level: fewer leave dashes, more are left out."""
     published = {"b": np.linspace(5.3, 5.1, count)}
-    rows = cells(shown(table(dataset(), published, "paper")))
+    rows = cells(rendered(table(dataset(), published, "paper")))
     assert [row[1] for row in rows] == [f"{b:.6f}" for b in published["b"][:3]] + ["–"] * max(0, 3 - count)
     assert [row[5] for row in rows] == ["–"] * 3
 
 
 def test_no_digit_is_lost_on_a_terminal_of_80_columns():
-    rows = cells(shown(table(dataset(), PUBLISHED, "paper"), width=80))
+    rows = cells(rendered(table(dataset(), PUBLISHED, "paper"), width=80))
     assert [row[2] for row in rows] == ["5.250000000000", "5.125000000000", "–"]
 
 
@@ -119,7 +119,7 @@ def test_table_of_many_cascades():
 
 def test_tables_without_rules():
     """Text on the left where it is asked for, no edge, and no cell is wrapped, however narrow the terminal."""
-    text = shown(
+    text = rendered(
         terminal.show(Table("Title", ("", "n"), (("long name of a row", "1"), ("x", "22")), left=(0,), ruled=False))
     )
     assert [line.rstrip() for line in text.splitlines()][-2:] == ["long name of a row   1", "x                   22"]

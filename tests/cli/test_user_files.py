@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from jaxnh.cli import experiments
+from jaxnh.cli import slow_files
 from jaxnh.engine.accuracy import calibration, reference, sample_maps, samples
 from tests.helpers.commands import run_here
 from tests.helpers.short_portrait import short_portrait
@@ -69,7 +69,7 @@ def test_a_calibration_that_takes_long_says_how_far_it_is(tmp_path, monkeypatch)
 
 def test_a_file_that_takes_long_to_read_says_where_it_is(tmp_path, monkeypatch):
     """Every five seconds, here fractions of one, the line of the user's file that is being run."""
-    monkeypatch.setattr(experiments, "_SILENT_SECONDS", 0.2)
+    monkeypatch.setattr(slow_files, "_SILENT_SECONDS", 0.2)
     (tmp_path / "own.py").write_text("import time\n\ntime.sleep(0.7)\n\ndef system(rate=1.0): return 1\n")
     (tmp_path / "own.yaml").write_text(CONFIG)
     run = run_here("own.yaml", cwd=tmp_path)

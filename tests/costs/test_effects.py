@@ -40,7 +40,7 @@ from tests.helpers.paths import ROOT
 EFFECTS = ("forcing", "coupling", "cubic_stiffness")
 
 
-def without(*names, **others):
+def particle_without(*names, **others):
     return constant_speed(without=names, **others)
 
 
@@ -93,7 +93,7 @@ def test_operations_fall_with_every_effect(lanes, left_out, saved):
     """
     kicks = SPLITTINGS["blanes_moan6"].total_kicks(40)
     ends = 39 * 11 if "forcing" in left_out else 0
-    assert operations(lanes, constant_speed()) - operations(lanes, without(*left_out)) == kicks * saved - ends
+    assert operations(lanes, constant_speed()) - operations(lanes, particle_without(*left_out)) == kicks * saved - ends
 
 
 # ---- spectra
@@ -102,7 +102,7 @@ def test_operations_fall_with_every_effect(lanes, left_out, saved):
 @pytest.fixture(scope="module")
 def spectrum(lanes):
     """Scene without forcing, chaotic but at the last b, and its three exponents."""
-    system = Section(without("forcing"), "y1", 1, 0.0, "up")
+    system = Section(particle_without("forcing"), "y1", 1, 0.0, "up")
     scene = batch_of(system, Crossing(START, 0.0, 0.0), [0.5, 0.8, 1.2], SPLITTING, 100, error=1e-9)
     options = lyapunov.LyapunovOptions(transient=64, periods=1024)
     return scene, lyapunov.run(options, scene, lanes)

@@ -27,7 +27,7 @@ from tests.flows.particle import SYSTEMS, twin
 from tests.helpers import taylor
 from tests.helpers.batches import calibrated
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
-from tests.helpers.measurement import UNIT, apart
+from tests.helpers.measurement import UNIT, largest_difference
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 
@@ -75,7 +75,7 @@ def test_estimate_is_honest(lanes, name, first, last):
     for target in (1e-4, 1e-6, 1e-8, 1e-10):
         plan = calibration.cheapest(target)
         strobe = make_return_map(system, plan.solver, plan.steps, compensated=plan.compensated)
-        error = apart(lanes(section_map, (strobe, np.int32(1)), (u, {"b": b})), exact)
+        error = largest_difference(lanes(section_map, (strobe, np.int32(1)), (u, {"b": b})), exact)
         assert np.sum(error > plan.error_estimate) <= 1
         assert plan.error_estimate <= target
         kicks.append(plan.steps * plan.solver.stages)
@@ -148,7 +148,9 @@ def test_rounding_floor(lanes, name):
     u = np.concatenate([start, lanes(section_map, (plain, np.int32(30)), (start, {"b": b}))])
     b = np.tile(b, 2)
     exact = taylor.strobe(twin(system), b, u)
-    errors = [apart(lanes(section_map, (m, np.int32(1)), (u, {"b": b})), exact) for m in (plain, compensated)]
+    errors = [
+        largest_difference(lanes(section_map, (m, np.int32(1)), (u, {"b": b})), exact) for m in (plain, compensated)
+    ]
     assert np.quantile(errors[0], 0.98) < 5e-12
     assert errors[1].max() < 5e-12
 
@@ -297,7 +299,7 @@ def test_random_starts_are_among_the_samples(analysis):
     exact = taylor.strobe(twin(SYSTEMS["constant"]), b, u.astype(taylor.REAL))
     image = jax.vmap(section_map, (None, None, 0, None))
     maps = (make_return_map(SYSTEMS["constant"], plan.solver, plan.steps) for plan in (drawn, still))
-    missing = [np.sum(apart(image(strobe, 1, u, {"b": b}), exact) > target) for strobe in maps]
+    missing = [np.sum(largest_difference(image(strobe, 1, u, {"b": b}), exact) > target) for strobe in maps]
     assert missing[0] < 16
     assert missing[1] > 100
 

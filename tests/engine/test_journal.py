@@ -177,7 +177,7 @@ class StopsAt:
             raise Stopped("enough")
 
 
-def _grown(by, x, pair):
+def _add(by, x, pair):
     return {"sum": x + pair[0] + by, "rest": (pair[1], x > 3.0)}
 
 
@@ -190,7 +190,7 @@ def test_calls_that_take_no_time_are_not_kept(tmp_path, monkeypatch):
         mock.patch.object(CallJournal, "add", autospec=True) as add,
         with_journal(lanes, CallJournal(tmp_path, job(), job().cutting.pieces())) as keeping,
     ):
-        same_leaves(keeping(_grown, (np.float64(1.0),), (x, pair)), lanes(_grown, (np.float64(1.0),), (x, pair)))
+        same_leaves(keeping(_add, (np.float64(1.0),), (x, pair)), lanes(_add, (np.float64(1.0),), (x, pair)))
     assert not add.called
 
 
@@ -198,10 +198,10 @@ def test_call_stopped_between_tiles(tmp_path):
     """Its first lanes are found, on another number of devices as well; the account is that of all that is there."""
     pieces = job().cutting.pieces()
     x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
-    expected = LaneExecutor(tile=4)(_grown, (np.float64(1.0),), (x, pair), periods=2)
+    expected = LaneExecutor(tile=4)(_add, (np.float64(1.0),), (x, pair), periods=2)
     lanes = LaneExecutor(StopsAt(30), devices=jax.devices("cpu")[:2], tile=4)
     with pytest.raises(Stopped), with_journal(lanes, CallJournal(tmp_path, job(), pieces)) as keeping:
-        keeping(_grown, (np.float64(1.0),), (x, pair), periods=2)
+        keeping(_add, (np.float64(1.0),), (x, pair), periods=2)
     assert lanes.accounts.lane_periods == 32
     lanes = LaneExecutor(devices=jax.devices("cpu")[:1], tile=4)
     with (
@@ -209,11 +209,11 @@ def test_call_stopped_between_tiles(tmp_path):
         with_journal(lanes, kept := CallJournal(tmp_path, job(), pieces)) as keeping,
     ):
         assert kept.seconds > 0
-        found = keeping(_grown, (np.float64(1.0),), (x, pair), periods=2)
+        found = keeping(_add, (np.float64(1.0),), (x, pair), periods=2)
         assert [call.args[1].first for call in add.call_args_list] == list(range(16, 40, 4))
         same_leaves(found, expected)
         assert jax.tree.structure(found) == jax.tree.structure(expected)
-        other = keeping(_grown, (np.float64(2.0),), (x, pair), periods=2)  # another call: nothing of it is there
+        other = keeping(_add, (np.float64(2.0),), (x, pair), periods=2)  # another call: nothing of it is there
     np.testing.assert_array_equal(other["sum"], expected["sum"] + 1)
     assert lanes.accounts.lane_periods == 160
     kept.close(remove=True)
@@ -229,7 +229,7 @@ def test_chain_stopped_between_tiles(tmp_path):
     pieces = job().cutting.pieces()
     x, pair = np.arange(40.0), (np.arange(40.0) % 3, np.arange(80.0).reshape(40, 2))
     links = [
-        Link(_grown, (np.float64(1.0),), periods=1, keep=lambda grown: (grown["sum"], grown["rest"][1])),
+        Link(_add, (np.float64(1.0),), periods=1, keep=lambda grown: (grown["sum"], grown["rest"][1])),
         Link(_halved, (np.float64(2.0),), periods=1),
     ]
     grown = x + pair[0] + 1.0

@@ -51,7 +51,7 @@ def strobe(steps=40, solver="blanes_moan6"):
     return make_return_map(SYSTEMS["constant"], SPLITTINGS[solver], steps)
 
 
-def begun(folder, *arguments, keep="1", code=PROCESS, cwd=None):
+def start_process(folder, *arguments, keep="1", code=PROCESS, cwd=None):
     """A process that runs lanes, chaotic ones unless its code is another, with its programs in a folder."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     environment |= {"JAX_COMPILATION_CACHE_DIR": str(folder), "JAXNH_KEEP_PROGRAMS": keep}
@@ -71,9 +71,9 @@ def test_bits_of_fresh_and_kept_programs(tmp_path):
 
     After 200 periods a last bit of chaotic lanes is as large as the attractor (test_lanes).
     """
-    fresh = [bits(process) for process in [begun(tmp_path), begun(tmp_path)]]
+    fresh = [bits(process) for process in [start_process(tmp_path), start_process(tmp_path)]]
     assert len(list((tmp_path / "jaxnh").iterdir())) == 1  # of one name, and nothing half-written beside it
-    found, traced = [bits(p) for p in [begun(tmp_path, "found"), begun(tmp_path / "none", keep="0")]]
+    found, traced = [bits(p) for p in [start_process(tmp_path, "found"), start_process(tmp_path / "none", keep="0")]]
     assert fresh == [traced, traced]
     assert found == traced
     assert not (tmp_path / "none" / "jaxnh").exists()
@@ -288,7 +288,7 @@ print(*(value.hex() for leaf in lanes.jax.tree.leaves(end) for value in leaf.tol
 def test_functions_of_lapack_are_looked_up_for_a_kept_program(tmp_path):
     """Matrices of nine coordinates are factorised by LAPACK, which a process that lowers nothing has not looked up."""
     (tmp_path / "rates.py").write_text(RATES)
-    first, second = (bits(begun(tmp_path, *words, code=STIFF, cwd=tmp_path)) for words in ((), ("found",)))
+    first, second = (bits(start_process(tmp_path, *words, code=STIFF, cwd=tmp_path)) for words in ((), ("found",)))
     kept = [path.read_bytes() for path in (tmp_path / "jaxnh").iterdir()]
     assert any(b"lapack_dgetrf" in data for data in kept)
     assert first == second

@@ -22,10 +22,10 @@ from jaxnh.storage.hdf5 import read_attrs, read_group, verify
 from tests.helpers.comparisons import same_tree
 from tests.helpers.jobs import content
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
-from tests.helpers.level_sweeps import PERIOD, WIDE, said
+from tests.helpers.level_sweeps import PERIOD, WIDE, sweep_content
 
 pytestmark = pytest.mark.usefixtures("uncalibrated")
-EXPERIMENT = Experiment.from_dict(said(WIDE, {"count": 3, "refine": "boundary"}, PERIOD))
+EXPERIMENT = Experiment.from_dict(sweep_content(WIDE, {"count": 3, "refine": "boundary"}, PERIOD))
 
 
 @functools.cache

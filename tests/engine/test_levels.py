@@ -12,7 +12,7 @@ from jaxnh.exceptions import ConfigError
 from sweeps.timing.adaptive_charts import refined
 from tests.helpers.cases import some_slow
 from tests.helpers.kept_programs import session_of
-from tests.helpers.level_sweeps import ANALYSES, PERIOD, WIDE, said
+from tests.helpers.level_sweeps import ANALYSES, PERIOD, WIDE, sweep_content
 
 pytestmark = pytest.mark.usefixtures("uncalibrated")
 LANE_AXES = {"b": {"start": 4.6, "stop": 5.6, "count": 20}, "a": {"start": 0.45, "stop": 0.55, "count": 9}}
@@ -20,7 +20,7 @@ ROWS = {"b": {"start": 5.2, "stop": 6.0, "count": 9}, "d": {"start": 0.05, "stop
 
 
 def tree_of(*what):
-    return session_of(Experiment.from_dict(said(*what))).tree()
+    return session_of(Experiment.from_dict(sweep_content(*what))).tree()
 
 
 @pytest.mark.parametrize(
@@ -94,5 +94,5 @@ def test_what_is_near_a_change():
 )
 def test_levels_that_cannot_be(levels, analyses, message):
     with pytest.raises(ConfigError) as caught:
-        Experiment.from_dict(said(LANE_AXES, levels, analyses))
+        Experiment.from_dict(sweep_content(LANE_AXES, levels, analyses))
     assert str(caught.value) == f"experiment: {message}"

@@ -296,7 +296,7 @@ SWEEPS = {
 }
 
 
-def written(experiment, path, check=lambda: None, **how):
+def content_of_run(experiment, path, check=lambda: None, **how):
     with mock.patch("jaxnh.engine.run.LaneExecutor", lanes_with_kept_programs):
         run_to_file(experiment, path, RunOptions(tile=16, **how), NullProgress(), check)
     return {name: item for name, item in content(path).items() if name != "/"} if path.exists() else {}
@@ -309,18 +309,18 @@ def test_files_are_the_same_in_parts_and_resumed(kind, tmp_path):
     """Whatever runs are cut into, each lane keeps its class and its bits."""
     experiment = SWEEPS[kind]()
     path = tmp_path / "whole.h5"
-    whole = written(experiment, path)
+    whole = content_of_run(experiment, path)
     classes = classes_of(read_attrs(path)["step_classes"])
     assert len(classes) == np.prod([len(axis.values) for axis in experiment.axes])
     assert classes.max() >= 3
     for k in (2, 1):
-        assert not written(experiment, tmp_path / "parts.h5", part=(k, 2))
-    assert written(experiment, tmp_path / "parts.h5", merge=True) == whole
+        assert not content_of_run(experiment, tmp_path / "parts.h5", part=(k, 2))
+    assert content_of_run(experiment, tmp_path / "parts.h5", merge=True) == whole
 
     def stop():
         if len(list(tiles.folder_of(tmp_path / "stopped.h5").glob("0*.h5"))) >= 1:
             raise Stopped("stopped")
 
     with pytest.raises(Stopped):
-        written(experiment, tmp_path / "stopped.h5", stop)
-    assert written(experiment, tmp_path / "stopped.h5") == whole
+        content_of_run(experiment, tmp_path / "stopped.h5", stop)
+    assert content_of_run(experiment, tmp_path / "stopped.h5") == whole

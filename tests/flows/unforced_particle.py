@@ -29,7 +29,7 @@ analyses:
 """
 
 
-def without(*names, **others):
+def particle_without(*names, **others):
     """The particle at a constant speed without some effects."""
     return constant_speed(without=names, **others)
 

@@ -93,7 +93,7 @@ def by_taylor(flow, own, u, image):
     return np.abs(gap).max(axis=-1).astype(float), np.array(enlarged)
 
 
-class Kept(NamedTuple):
+class TargetCheck(NamedTuple):
     """How a sweep keeps its target.
 
     Attributes:
@@ -135,7 +135,7 @@ def measured(experiment, target, plan, lanes, rng, count):
     ulp = np.spacing(np.maximum(np.abs(u).max(axis=1), 1.0))
     rounding = ulp * enlarged * math.sqrt(plan.steps * len(plan.solver.drifts))
     unlike = np.maximum(np.abs(worst[picked] - error) - rounding, 0.0) / np.maximum(target, error)
-    return Kept(over, float(error.max() / target), float(unlike.max()))
+    return TargetCheck(over, float(error.max() / target), float(unlike.max()))
 
 
 def upper(misses, of):

@@ -23,7 +23,7 @@ from tests.helpers import taylor
 from tests.helpers.batches import batch_of
 from tests.helpers.battery import worst
 from tests.helpers.hard_scenes import PAPER_B, hold, hold_to_rounding, roundings, show, show_sum_rule, start_at
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 
 CONFIG = "system: {constraint: disturbed_speed, c: 1.0, d: 0.1}\nsweep: {b: {values: [5.5]}}\nanalyses: {period: {}}\n"
 
@@ -144,7 +144,9 @@ def test_slow_forcing(battery, lanes):
         assert held.plan is None
         show(battery, f"ω = 0.01, c = 1, b = {b:g}", held)
         u = twin(system).start()[None]
-        parting = apart(taylor.strobe(twin(system), b, u), taylor.strobe(twin(system), b, u, real=np.float64)).max()
+        parting = largest_difference(
+            taylor.strobe(twin(system), b, u), taylor.strobe(twin(system), b, u, real=np.float64)
+        ).max()
         assert parting > 1e-2
         battery.note(
             f"At ω = 0.01, c = 1, b = 2.5 Taylor in double and in long double part by {parting:.2g} in a period."

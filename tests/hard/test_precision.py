@@ -21,7 +21,7 @@ from tests.flows.particle import twin
 from tests.helpers import taylor
 from tests.helpers.batches import calibrated
 from tests.helpers.hard_scenes import start_at
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 
 pytestmark = pytest.mark.case("float32 on request")
 UNIT = 2.0**-24  # roundoff of one operation in single precision
@@ -71,7 +71,10 @@ def test_error_and_gain(battery, lanes):
         }
         u = lanes(section_map, (maps["float64"], np.int32(7)), (u, {"b": b}))
         exact = taylor.strobe(twin(system), b, u)
-        errors = {p: apart(lanes(section_map, (m, np.int32(1)), (u, {"b": b})), exact).max() for p, m in maps.items()}
+        errors = {
+            p: largest_difference(lanes(section_map, (m, np.int32(1)), (u, {"b": b})), exact).max()
+            for p, m in maps.items()
+        }
         kicks = plan.solver.total_kicks(plan.steps)
         battery.row(
             f"d = {system.d:g}, b in [4, 6], target 10u‖M‖ = {10 * rounding:.1e}: {plan.solver.name}, {kicks} kicks, estimate {plan.error_estimate:.1e} "

@@ -118,7 +118,7 @@ def pytest_collection_modifyitems(config, items):
         items[:] = left
 
 
-class Measured(NamedTuple):
+class BatteryRecord(NamedTuple):
     """A test that has run.
 
     Attributes:
@@ -152,7 +152,7 @@ class _Report:
         reason = ""
         if report.failed:
             reason = report.longreprtext.strip().splitlines()[-1] if report.longreprtext else "no reason given"
-        self._tests.append(Measured(report.nodeid, report.duration, report.user_properties, reason))
+        self._tests.append(BatteryRecord(report.nodeid, report.duration, report.user_properties, reason))
 
     def pytest_sessionfinish(self, session):
         before = self._page.read_text(encoding="utf-8") if self._page.exists() else ""

@@ -16,7 +16,7 @@ from tests.flows.calm_particle import CALM_B, CALM_STATES, P
 from tests.flows.particle import twin
 from tests.helpers import taylor
 from tests.helpers.diffrax_solvers import RungeKuttaSolver, SplittingSolver, isokinetic_terms
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 
 FINEST = max(SPLITTINGS.values(), key=lambda solver: solver.convergence_order)
 
@@ -25,7 +25,7 @@ def check_derivatives(lanes, strobe, system, error):
     """Against the derivatives of the reference, to the error of the map; those of M and of the slope relative to it."""
     u, monodromy, slope = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",))
     exact, exact_monodromy, exact_slope = taylor.strobe_jacobian(twin(system), CALM_B, CALM_STATES)
-    assert np.max(apart(u, exact)) < error
+    assert np.max(largest_difference(u, exact)) < error
     gaps = derivatives_apart((monodromy, slope), (exact_monodromy, exact_slope))
     assert np.max(np.abs(gaps).max(axis=1) / size(exact_monodromy, exact_slope)) < error
 
@@ -73,7 +73,7 @@ def order_of(system, solver):
         images = (run(make_return_map(system, solver, n), 1, CALM_STATES, {"b": CALM_B}) for n in steps.tolist())
     else:
         images = (stock(system, solver)(CALM_STATES, CALM_B, system.period / n) for n in steps)
-    errors = np.array([np.exp(np.log(apart(image, exact)).mean()) for image in images])
+    errors = np.array([np.exp(np.log(largest_difference(image, exact)).mean()) for image in images])
     used = errors > 1e-11
     used &= errors < 1e4 * errors[used].min()
     assert used.sum() >= 5

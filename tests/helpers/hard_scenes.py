@@ -14,14 +14,14 @@ from tests.flows.particle import twin
 from tests.helpers import taylor
 from tests.helpers.batches import calibrated
 from tests.helpers.battery import worst
-from tests.helpers.measurement import UNIT, apart
+from tests.helpers.measurement import UNIT, largest_difference
 
 PAPER_B = np.linspace(0.1, 6.0, 48)
 LOOKED_AT = 170
 """Periods of every lane that a calibration looks at."""
 
 
-class Held(NamedTuple):
+class PlanCheck(NamedTuple):
     """A plan and how it did: the largest error of other lanes, by the reference; or why there is no plan."""
 
     plan: Plan | None
@@ -36,7 +36,7 @@ def hold(lanes, system, start, values, target, count=24):
     try:
         plan = calibration.cheapest(target)
     except AccuracyError as refusal:
-        return Held(None, np.inf, str(refusal), target)
+        return PlanCheck(None, np.inf, str(refusal), target)
     strobe = make_return_map(system, plan.solver, plan.steps, compensated=plan.compensated)
     b = np.random.default_rng(11).choice(values, count)
     u = np.tile(system.chart.host_points(start), (count, 1))
@@ -45,7 +45,7 @@ def hold(lanes, system, start, values, target, count=24):
         u[part] = lanes(section_map, (strobe, np.int32(n)), (u[part], {"b": b[part]}))
     image = lanes(section_map, (strobe, np.int32(1)), (u, {"b": b}))
     exact = taylor.settled_strobe(twin(system), b, u, 0.1 * plan.error_estimate)
-    return Held(plan, float(apart(image, exact).max()), "", target)
+    return PlanCheck(plan, float(largest_difference(image, exact).max()), "", target)
 
 
 def roundings(enlarged):

@@ -30,7 +30,7 @@ def _integrator(rates, d, parameters=1):
     return ta, ta.state.copy()
 
 
-def _begun(ta, at_zero, value, y):
+def _reset(ta, at_zero, value, y):
     ta.pars[:], ta.state[:], ta.time = value, at_zero, REAL(0)
     ta.state[: len(y)] = y
 
@@ -53,7 +53,7 @@ def strobe_map(rates, d, period, n=1, parameters=1):
 
     def image(value, u):
         ta, at_zero = _integrator(rates, d, parameters)
-        _begun(ta, at_zero, value, u)
+        _reset(ta, at_zero, value, u)
         assert ta.propagate_until(REAL(period))[0] == hy.taylor_outcome.time_limit
         return ta.state[:d].copy(), ta.state[d:].reshape(d, d).copy()
 
@@ -68,7 +68,7 @@ def section_map(rates, d, place, level, direction):
         ta, at_zero = _integrator(rates, d)
         start = np.insert(np.asarray(u, REAL), place, REAL(level))
         end, rate = _crossing_time(rates, d, place, level, direction, value, start), np.ones(d, REAL)
-        _begun(ta, at_zero, value, start)
+        _reset(ta, at_zero, value, start)
         for _ in range(2):  # Newton in time, from a time that is all but exact
             assert ta.propagate_until(end)[0] == hy.taylor_outcome.time_limit
             rate = np.array(rates(*ta.state[:d], REAL(value), REAL(0)), REAL)

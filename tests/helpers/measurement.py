@@ -9,7 +9,7 @@ from tests.helpers import taylor
 UNIT = np.finfo(float).eps / 2  # roundoff of one operation
 
 
-def apart(one, other):
+def largest_difference(one, other):
     """Largest difference of section coordinates (..., 3), angles modulo whole turns: shape (...,)."""
     gap = np.asarray(one, taylor.REAL) - np.asarray(other, taylor.REAL)
     gap[..., 2] -= taylor.turns(gap[..., 2])

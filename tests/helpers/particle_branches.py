@@ -31,7 +31,7 @@ def none_is_lost(orbits, family, tree):
         assert all(known.has(orbit.points, orbit.value) for orbit in orbits if len(orbit.points) == n)
 
 
-def grown(scene, lanes, values, starts, limit, steps):
+def grow_particle_branches(scene, lanes, values, starts, limit, steps):
     """The orbits of a search at some values of b, their family, and the tree of branches that they lead to."""
     values = np.array(values)
     here = replace(scene.take(np.arange(len(values))), p={"b": values}, axis=replace(scene.first_axis, values=values))

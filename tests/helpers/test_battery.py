@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sweeps.checks.measured_at import Stamp, stamps_of
-from tests.helpers.battery import CASES, Battery, Measured, page
+from tests.helpers.battery import CASES, Battery, BatteryRecord, page
 
 FIRST, SECOND = Stamp("0" * 12, "a" * 12), Stamp("1" * 12, "b" * 12)
 
@@ -18,7 +18,7 @@ def ran(case, node, *, held=1.0, failed=""):
         failed = str(error)
     battery.refused("|d| above c", "no: |d| | c")
     battery.note(f"a word of {node}")
-    return Measured(f"tests/hard/{node}", 1.0, kept, failed)
+    return BatteryRecord(f"tests/hard/{node}", 1.0, kept, failed)
 
 
 def test_cases_are_kept_and_measured_anew():
@@ -51,6 +51,6 @@ def test_other_tests_of_a_case_are_kept():
 
 def test_failures_that_belong_to_no_case():
     """A test that fails before it says of which case it is stands at the head."""
-    found = page([Measured("tests/hard/test_c", 0.1, [], "no such fixture")], FIRST)
+    found = page([BatteryRecord("tests/hard/test_c", 0.1, [], "no such fixture")], FIRST)
     assert "0 rows held, 0 refused, 0 failed; 1 tests failed." in found
     assert "- **failed**: `tests/hard/test_c`: no such fixture" in found

@@ -46,7 +46,7 @@ def dop853(par, b, state):
     return np.array([end[0], end[1], np.arctan2(end[3], end[2])]), end[4]
 
 
-def apart(left, right):
+def largest_difference(left, right):
     """Largest difference of two sets of states (..., 3), angles modulo whole turns."""
     gap = np.asarray(left) - np.asarray(right)
     gap[..., 2] -= taylor.turns(gap[..., 2])
@@ -66,7 +66,7 @@ def growth(par, b, states):
 def test_one_period_equals_dop853(par):
     end = taylor.strobe(par, B, STATES)
     for k in range(len(B)):
-        assert apart(end[k], dop853(par, B[k], STATES[k])[0]) < 1e-10
+        assert largest_difference(end[k], dop853(par, B[k], STATES[k])[0]) < 1e-10
 
 
 @pytest.mark.parametrize("par", SYSTEMS[1:])
@@ -85,7 +85,7 @@ def test_one_period_solves_the_equations_of_the_paper(par):
     s = np.sqrt(par.c)
     start = [state[0], s * np.cos(state[2]), state[1], s * np.sin(state[2])]
     x, x2, y, y2 = solve_ivp(rates, (0, float(par.period)), start, method="DOP853", rtol=3e-14, atol=1e-14).y[:, -1]
-    assert apart(taylor.strobe(par, b, state)[0], np.array([x, y, np.arctan2(y2, x2)])) < 1e-9
+    assert largest_difference(taylor.strobe(par, b, state)[0], np.array([x, y, np.arctan2(y2, x2)])) < 1e-9
 
 
 @pytest.mark.parametrize("d", [0.0, 0.3])
@@ -107,7 +107,7 @@ def test_map_is_odd(par):
     monodromy = taylor.strobe_jacobian(par, B, STATES)[1]
     forward = np.linalg.norm(monodromy.astype(float), 2, axis=(1, 2))
     for k in range(len(B)):
-        assert apart(-end[k] * [1, 1, -1] + half_turn, mate[k]) < ROUNDOFF * max(forward[k], 1)
+        assert largest_difference(-end[k] * [1, 1, -1] + half_turn, mate[k]) < ROUNDOFF * max(forward[k], 1)
 
 
 @pytest.mark.parametrize("par", SYSTEMS[:2])
@@ -119,7 +119,7 @@ def test_motion_back_in_time(par):
     _, backward = growth(par, MILD, STATES)
     assert backward.max() < 1e8
     for k in range(len(MILD)):
-        assert apart(back[k], STATES[k]) < ROUNDOFF * backward[k]
+        assert largest_difference(back[k], STATES[k]) < ROUNDOFF * backward[k]
 
 
 def test_periods_add_up():
@@ -128,8 +128,8 @@ def test_periods_add_up():
     single = STATES
     for _ in range(3):
         single = taylor.strobe(par, B, single)
-    assert apart(three, single) < 1e-12  # chaotic: 1e-19 grown over two periods
-    assert apart(taylor.strobe(par, B[3], STATES[3])[0], taylor.strobe(par, B, STATES)[3]) == 0
+    assert largest_difference(three, single) < 1e-12  # chaotic: 1e-19 grown over two periods
+    assert largest_difference(taylor.strobe(par, B[3], STATES[3])[0], taylor.strobe(par, B, STATES)[3]) == 0
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_lanes_of_a_vector_are_those_alone():
     """Eleven, which fill no number of vectors; two periods apart by their rounding, times what a period expands."""
     par, states = taylor.Parameters(), np.resize(STATES, (11, 3)).astype(float)
     alone = taylor.strobe(par, MILD[-1], states, 2, real=np.float64)
-    assert apart(taylor.strobe_of_many(par, MILD[-1], states, 2), alone) < 1e-12
+    assert largest_difference(taylor.strobe_of_many(par, MILD[-1], states, 2), alone) < 1e-12
 
 
 def test_strobe_period():
@@ -200,7 +200,7 @@ def test_orbit_at_a_doubling_has_multiplier_minus_one(doublings):
     b, _, info = doublings[1]
     product, h = np.eye(3), 1e-3
     for point, following in zip(info.points.astype(float), info.points[::-1], strict=True):
-        assert apart(dop853(SYSTEMS[0], float(b), point)[0], following) < 1e-11
+        assert largest_difference(dop853(SYSTEMS[0], float(b), point)[0], following) < 1e-11
         columns = []
         for unit in np.eye(3):
             shifted = [dop853(SYSTEMS[0], float(b), point + k * h * unit)[0] for k in (-2, -1, 1, 2)]

@@ -11,7 +11,7 @@ from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, one_lane
 from tests.flows.particle import twin
 from tests.helpers import taylor
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 
 
 @pytest.mark.parametrize("name", ["blanes_moan6", "processed6"])
@@ -25,7 +25,7 @@ def test_map_over_a_part_of_the_period(name):
         first, second = (
             make_return_map(system, solver, steps, span=span) for span in ((0.0, 2.0), (2.0, system.period))
         )
-        errors.append(apart(CHART.point(second(first(state, p), p)), exact))
+        errors.append(largest_difference(CHART.point(second(first(state, p), p)), exact))
     assert errors[1] < errors[0] * 2.0 ** (1 - solver.convergence_order) < 1e-6
 
 
@@ -36,4 +36,4 @@ def test_map_cut_into_parts(name):
     parts = cut_strobe(system, solver, 93, 7)
     state, p = one_lane()
     end, _ = jax.lax.scan(lambda state, part: (part(state, p), None), state, parts)
-    assert apart(CHART.point(end), CHART.point(make_return_map(system, solver, 98)(state, p))) < ROUNDOFF
+    assert largest_difference(CHART.point(end), CHART.point(make_return_map(system, solver, 98)(state, p))) < ROUNDOFF

@@ -18,15 +18,15 @@ from jaxnh.maps.section import Crossing, Section, reports
 from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
-from tests.flows.unforced_particle import ANGLE, LANES, SPLITTING, START, B, P, spread, without
+from tests.flows.unforced_particle import ANGLE, LANES, SPLITTING, START, B, P, particle_without, spread
 from tests.helpers import taylor
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")
 
 SECTIONS = {
-    "up": (Section(without("forcing"), "y1", 1, 0.0, "up"), 1),
-    "down": (Section(without("forcing"), "x1", 0, 0.0, "down"), -1),
-    "both": (Section(without("forcing"), "y1", 1, 0.0, "both"), 0),
+    "up": (Section(particle_without("forcing"), "y1", 1, 0.0, "up"), 1),
+    "down": (Section(particle_without("forcing"), "x1", 0, 0.0, "down"), -1),
+    "both": (Section(particle_without("forcing"), "y1", 1, 0.0, "both"), 0),
 }
 
 
@@ -107,7 +107,7 @@ def test_returns_without_waiting(lanes):
 
 def test_return_in_one_step():
     """A passage and return within one step are seen, in each direction that is wanted, from above and from below."""
-    flow = without("forcing", "coupling", "cubic_stiffness")  # y'' alone: towards y = 0, however it starts
+    flow = particle_without("forcing", "coupling", "cubic_stiffness")  # y'' alone: towards y = 0, however it starts
     for tilt, direction, expected in ((0.02, "up", "first"), (0.02, "both", "first"), (0.02, "down", "second")):
         system = Section(flow, "y1", 1, 1.0, direction)  # y = 1 is touched from below: passed up, and down again
         theta = math.asin(tilt)
@@ -158,7 +158,7 @@ def volume_of(strobe, u, p):
 
 def test_reversal_of_time(lanes):
     """Reversed on the section, a motion comes back: P of (q, −n) downwards is where it came from, upwards."""
-    up, down = (Section(without("forcing"), "y1", 1, 0.0, way) for way in ("up", "down"))
+    up, down = (Section(particle_without("forcing"), "y1", 1, 0.0, way) for way in ("up", "down"))
     first, second = (
         lanes(iterate, (make_return_map(up, SPLITTING, 200), np.int32(n)), (spread(Crossing(START, 0.0, 0.0)), P))
         for n in (1, 2)

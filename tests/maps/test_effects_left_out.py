@@ -13,7 +13,7 @@ from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import definition
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import disturbed_speed
-from tests.flows.unforced_particle import ANGLE, SPLITTING, START, P, spread, without
+from tests.flows.unforced_particle import ANGLE, SPLITTING, START, P, particle_without, spread
 
 
 def test_tables_have_no_forcing_that_is_left_out():
@@ -21,7 +21,7 @@ def test_tables_have_no_forcing_that_is_left_out():
     still = disturbed_speed(without=("forcing",), omega=math.sqrt(2))
     assert still.period == 2 * math.pi
     assert make_return_map(still, SPLITTING, 40).table.shape[-1] == 2
-    free_running = make_return_map(without("forcing"), SPLITTING, 40)
+    free_running = make_return_map(particle_without("forcing"), SPLITTING, 40)
     assert free_running.step_map.table.shape == (64, 2)  # the coefficients of one step, and no more
     assert (free_running.steps, int(free_running.step_map.kicks)) == (40, 17)
 
@@ -44,12 +44,12 @@ def test_map_without_forcing_is_diffeqsolve(lanes):
 def test_sweep_over_a(lanes, names):
     """Lanes that differ in a are the lanes of their own a and one b, and so is ∂P/∂a by differences."""
     values = np.array([0.3, 0.5, 0.8])
-    swept = make_return_map(without(*names, b=0.7), SPLITTING, 60)
+    swept = make_return_map(particle_without(*names, b=0.7), SPLITTING, 60)
     u = np.tile(ANGLE, (3, 1))
     _, monodromy, slope = lanes(derivatives, (swept, np.int32(1)), (u, {"a": values}), static=("a",))
     (x, y), (n1, n2) = lanes(iterate, (swept, np.int32(1)), (spread(START, 3), {"a": values}))
     for i, a in enumerate(values):
-        own = make_return_map(without(*names, a=a), SPLITTING, 60)
+        own = make_return_map(particle_without(*names, a=a), SPLITTING, 60)
         one = lanes(iterate, (own, np.int32(1)), (spread(START, 1), {"b": np.array([0.7])}))
         np.testing.assert_allclose([x[i], y[i], n1[i], n2[i]], np.array([*one[0], *one[1]])[:, 0], atol=1e-12)
     h = 1e-5

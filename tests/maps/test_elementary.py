@@ -32,7 +32,7 @@ def test_value_to_the_last_places(name, largest):
     assert places(*FUNCTIONS[name], arguments(largest)) < 3.0
 
 
-def around(points, width=1e-3):
+def numbers_near(points, width=1e-3):
     """Evenly drawn numbers near some."""
     return (np.asarray(points)[:, None] * np.random.default_rng(2).uniform(1 - width, 1 + width, 20_000)).ravel()
 
@@ -41,7 +41,7 @@ def around(points, width=1e-3):
 def test_exponential(largest):
     """One rounding, of 1 + r + …, and what is left of the small terms: below a unit. Halves of ln 2 are where r jumps."""
     x = np.random.default_rng(0).uniform(-largest, largest, 100_000)
-    halves = around((np.arange(-9, 10) + 0.5) * np.log(2.0))
+    halves = numbers_near((np.arange(-9, 10) + 0.5) * np.log(2.0))
     assert places(exponential, np.exp, np.concatenate([x, halves])) < 1.0
 
 

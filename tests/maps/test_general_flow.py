@@ -30,7 +30,7 @@ from tests.flows.calm_particle import CALM, image
 from tests.helpers.cases import some_slow
 from tests.helpers.convergence import check_derivatives
 from tests.helpers.diffrax_solvers import ProjectedSolver
-from tests.helpers.measurement import UNIT, apart
+from tests.helpers.measurement import UNIT, largest_difference
 
 pytestmark = pytest.mark.usefixtures("quick_compiling_always")
 
@@ -54,7 +54,7 @@ def test_derivatives_of_runge_kutta(lanes):
     """The error of 200 steps of order five is measured by doubling them."""
     system = CALM["constant"]
     coarse, fine = (make_return_map(system, SOLVERS["tsit5"], steps) for steps in (100, 200))
-    check_derivatives(lanes, fine, system, apart(image(lanes, fine), image(lanes, coarse)).max())
+    check_derivatives(lanes, fine, system, largest_difference(image(lanes, fine), image(lanes, coarse)).max())
 
 
 @pytest.mark.parametrize("rolled", [True, False], ids=["rolled", "written out"])

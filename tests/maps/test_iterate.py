@@ -12,7 +12,7 @@ from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, P, image, start_states
 from tests.flows.particle import SYSTEMS
 from tests.helpers.convergence import size
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 
 
 def test_iterates_add_up(lanes):
@@ -32,7 +32,9 @@ def test_record_is_every_iterate(lanes, monkeypatch):
     states = lanes.record(strobe, 3, (start_states(), P))
     recorded = np.asarray(jax.vmap(jax.vmap(CHART.point))(states))
     for n in (1, 2, 3):
-        assert np.max(apart(recorded[:, n - 1], image(lanes, strobe, n))) < 10**n * ROUNDOFF  # the flow of n periods
+        assert (
+            np.max(largest_difference(recorded[:, n - 1], image(lanes, strobe, n))) < 10**n * ROUNDOFF
+        )  # the flow of n periods
     monkeypatch.setattr("jaxnh.engine.executor.lanes._ROOM", 2)
     jax.tree.map(np.testing.assert_array_equal, lanes.record(strobe, 3, (start_states(), P)), states)
 
@@ -46,6 +48,6 @@ def test_derivatives_over_periods_by_the_chain_rule(lanes):
     product = second @ first
     chained = np.einsum("lij,lj->li", second, slope) + second_slope
     largest = 3 * size(second, second_slope) * np.maximum(size(first, slope), 1)
-    assert np.max(apart(both[0], end)) < ROUNDOFF
+    assert np.max(largest_difference(both[0], end)) < ROUNDOFF
     assert np.max(np.abs(both[1] - product).max(axis=(1, 2)) / largest) < ROUNDOFF
     assert np.max(np.abs(both[2] - chained).max(axis=1) / largest) < ROUNDOFF

@@ -22,7 +22,7 @@ from tests.helpers.cases import some_slow
 from tests.helpers.comparisons import same_leaves
 from tests.helpers.convergence import FINEST, derivatives_apart, size
 from tests.helpers.diffrax_solvers import SplittingSolver, isokinetic_terms
-from tests.helpers.measurement import apart
+from tests.helpers.measurement import largest_difference
 
 # ---- one period
 
@@ -50,7 +50,7 @@ def test_kicks_are_diffeqsolve_on_the_same_grid(lanes, system, name):
         return CHART.point(jax.tree.map(lambda leaf: leaf[-1], solution.ys))
 
     solved = jax.jit(jax.vmap(solve))(CALM_STATES, CALM_B)
-    assert apart(image(lanes, make_return_map(system, solver, steps)), solved).max() < ROUNDOFF
+    assert largest_difference(image(lanes, make_return_map(system, solver, steps)), solved).max() < ROUNDOFF
 
 
 @systems
@@ -58,7 +58,8 @@ def test_compensated_sums(lanes, system):
     """Without the roundings of the sums, those of one kick's turn remain: a tenth at most of the error of plain sums."""
     exact = taylor.strobe(twin(system), CALM_B, CALM_STATES)
     plain, compensated = (
-        apart(image(lanes, make_return_map(system, FINEST, 100, compensated=c)), exact) for c in (False, True)
+        largest_difference(image(lanes, make_return_map(system, FINEST, 100, compensated=c)), exact)
+        for c in (False, True)
     )
     assert np.median(compensated) < 0.1 * np.median(plain)
     assert plain.max() < ROUNDOFF
@@ -74,7 +75,7 @@ def test_strobe_that_is_part_of_the_program():
         jax.jit(lambda strobe, state, p: strobe(state, p))(strobe, state, p),
     )
     for one in images:
-        assert apart(CHART.point(one), CHART.point(images[0])) < ROUNDOFF
+        assert largest_difference(CHART.point(one), CHART.point(images[0])) < ROUNDOFF
 
 
 # ---- derivatives
@@ -121,7 +122,7 @@ def test_derivatives_of_kicks(lanes, system):
     theirs = root_mean_square([derivatives_apart(found, right) for found in by_jacfwd(lanes, system, P, "b")])
     for compensated, most in ((False, 2.0), (True, 1.0)):
         found = list(by_tangents(lanes, system, P, "b", compensated))
-        assert max(np.max(apart(image, exact)) for image, _, _ in found) < ROUNDOFF
+        assert max(np.max(largest_difference(image, exact)) for image, _, _ in found) < ROUNDOFF
         ours = root_mean_square([derivatives_apart(moved, right) for _, *moved in found])
         assert np.all(ours < most * theirs)
         assert np.all(ours < ROUNDOFF * size(*right))
@@ -157,7 +158,7 @@ def test_only_the_derivative_asked_for(lanes):
     with_it = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), static=("b",), tile=16)
     without = lanes(derivatives, (strobe, np.int32(1)), (CALM_STATES, P), tile=16)
     assert without.by_parameter is None
-    assert np.max(apart(with_it.image, without.image)) < ROUNDOFF
+    assert np.max(largest_difference(with_it.image, without.image)) < ROUNDOFF
     assert np.abs(with_it.monodromy - without.monodromy).max() < ROUNDOFF * np.abs(with_it.monodromy).max()
 
 
@@ -190,7 +191,7 @@ def test_two_parameters_against_the_reference(lanes, system):
         taylor.strobe(dataclasses.replace(twin(system), a=own), b, u)[0]
         for own, b, u in zip(a.tolist(), CALM_B, CALM_STATES, strict=True)
     ]
-    assert apart(found, np.array(exact)).max() < ROUNDOFF
+    assert largest_difference(found, np.array(exact)).max() < ROUNDOFF
 
 
 @pytest.mark.parametrize("name", ["blanes_moan6", "processed6"])

@@ -253,7 +253,7 @@ def test_products_of_blocks_that_are_not_finite():
 # ---- flows with a clock whose bifurcations are known; one period is a unit of time, and a map is exact to roundings
 
 
-def made(rates, names):
+def definition(rates, names):
     def define(mu=0.0):
         return {"rhs": lambda y, t: rates(*y, mu), "coordinates": names, "period": 1.0}
 
@@ -285,7 +285,7 @@ NORMAL_FORMS = {
 def test_normal_forms(lanes, name):
     """At μ = 0 each, with the coefficient and criticality of the flow's own equation."""
     rates, names, u, value, kind, coefficient = NORMAL_FORMS[name]
-    flow = first_order(made(rates, tuple(names)), {"mu": 0.0})
+    flow = first_order(definition(rates, tuple(names)), {"mu": 0.0})
     start = flow.start(dict.fromkeys(names, 0.0))
     scene = batch_of(flow, start, [-0.5, 0.71], verner9, 16, name="mu")
     families = [orbit_family(scene, lanes, strobe, np.ones(len(names)), (-0.5, 0.71)) for strobe in refined_maps(scene)]

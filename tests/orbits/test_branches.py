@@ -18,7 +18,7 @@ from tests.flows.logistic_map import LOGISTIC, logistic, logistic_orbit
 from tests.helpers.batches import batch_of
 
 
-def begun(family, points, value):
+def corrected_orbit(family, points, value):
     """The orbit near some points (n, d) at a value of the parameter."""
     points = np.asarray(points, float)[None]
     found = correct(family, points, np.array([value]), along_parameter(family, *points.shape[:2]), FINE)
@@ -28,7 +28,7 @@ def begun(family, points, value):
 
 def test_branch_of_fixed_points():
     """x = 1 − 1/p with the multiplier 2 − p, over the whole range and on where it is unstable."""
-    branch = follow_both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(1, 2.8), 2.8))[0]
+    branch = follow_both_ways(LOGISTIC, corrected_orbit(LOGISTIC, logistic_orbit(1, 2.8), 2.8))[0]
     assert branch.ends == (RANGE, RANGE)
     assert sorted(branch.value[[0, -1]]) == [2.0, 3.9]
     rounding = 1e-11  # the square of Newton's last step, below 1e-6, and curvature of order one
@@ -38,7 +38,7 @@ def test_branch_of_fixed_points():
 
 def test_branch_turns_at_its_fold():
     """Period 3 is born at p = 1 + √8, and both of its orbits are followed from one; none is below."""
-    branch = follow_both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(3, 3.835), 3.835))[0]
+    branch = follow_both_ways(LOGISTIC, corrected_orbit(LOGISTIC, logistic_orbit(3, 3.835), 3.835))[0]
     assert branch.ends == (RANGE, RANGE)
     assert np.all(branch.value[[0, -1]] == 3.9)
     fold = 1 + np.sqrt(8)
@@ -51,7 +51,7 @@ def test_branch_turns_at_its_fold():
 
 def test_branch_ends_where_it_was_born_in_a_doubling():
     """Period 2 from p = 3, where its two points (1 + 1/p ± √((1 − 3/p)(1 + 1/p)))/2 are one."""
-    branch = follow_both_ways(LOGISTIC, begun(LOGISTIC, logistic_orbit(2, 3.3), 3.3))[0]
+    branch = follow_both_ways(LOGISTIC, corrected_orbit(LOGISTIC, logistic_orbit(2, 3.3), 3.3))[0]
     assert sorted(branch.ends) == sorted((COLLAPSED, RANGE))
     p = branch.value
     gap = np.sqrt((1 - 3 / p) * (1 + 1 / p))
@@ -75,7 +75,7 @@ def resonance(lanes):
 
 def test_resonance_of_duffing(resonance):
     """One branch over the frequency, folded twice; its orbits close and have their multipliers by scipy."""
-    branch = follow_both_ways(resonance, begun(resonance, [[0.0, 0.1]], 0.6))[0]
+    branch = follow_both_ways(resonance, corrected_orbit(resonance, [[0.0, 0.1]], 0.6))[0]
     assert {ENDS[end] for end in branch.ends} == {"range"}
     turns = np.flatnonzero(np.diff(np.sign(branch.way.value)))
     assert len(turns) == 2
@@ -107,7 +107,7 @@ def test_branch_stays_on_its_side_of_an_imperfect_pitchfork(break_):
     """The curve of x > 0 comes as near as ε^(1/3) to where the others almost cross it, and goes on to small x."""
     family = imperfect(break_)
     for x in (np.sqrt(0.4), -np.sqrt(0.4)):
-        branch = follow_both_ways(family, begun(family, [[x]], 0.4), StepControl(0.05))[0]
+        branch = follow_both_ways(family, corrected_orbit(family, [[x]], 0.4), StepControl(0.05))[0]
         assert branch.ends == (RANGE, RANGE)
         followed = branch.points[:, 0, 0]
         assert np.all(np.sign(followed) == np.sign(x))

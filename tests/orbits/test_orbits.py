@@ -24,7 +24,7 @@ from jaxnh.systems.particle import CHART
 from tests.flows.particle import SYSTEMS, twin
 from tests.helpers import taylor
 from tests.helpers.kept_programs import lanes_with_kept_programs
-from tests.helpers.measurement import UNIT, apart
+from tests.helpers.measurement import UNIT, largest_difference
 
 FINEST = max(SPLITTINGS.values(), key=lambda solver: solver.convergence_order)
 # Error of one period by 150 steps of order ten near the attractors of b from 5.4 to 5.9, and of its derivatives relative
@@ -72,7 +72,7 @@ def test_find_orbits(lanes, strobes, name, b, n):
     exact = monodromy_of(name, b, points)
     spread = n * max(1.0, np.linalg.norm(exact, 2)) * np.linalg.norm(np.linalg.inv(exact - np.eye(3)), 2)
     assert spread < 1e3
-    assert np.max(apart(orbit.u, points[0])) < MAP_ERROR * spread
+    assert np.max(largest_difference(orbit.u, points[0])) < MAP_ERROR * spread
     assert np.max(orbit.residual) < 1e-11  # n periods' roundings; Newton's last step is quadratic
     curvature = 100  # of P, the largest second derivative there
     assert np.max(np.abs(orbit.monodromy - exact)) < curvature * MAP_ERROR * spread * max(1.0, np.linalg.norm(exact, 2))
@@ -85,7 +85,7 @@ def test_map_is_fine_enough(lanes, strobes, name):
     b = np.concatenate([np.full(n, b) for b, n in ORBITS[name]])
     image, monodromy, _ = period_of(lanes, strobes[name])(u, b)
     end, first, _ = taylor.strobe_jacobian(twin(SYSTEMS[name]), b, u)
-    assert np.max(apart(image, end)) < MAP_ERROR
+    assert np.max(largest_difference(image, end)) < MAP_ERROR
     assert np.abs(monodromy - first).max() < MAP_ERROR * np.abs(first).max()
 
 
@@ -106,7 +106,7 @@ def test_orbit_need_not_be_stable(lanes, strobes):
         start = taylor.periodic_orbit(twin(SYSTEMS["constant"]), 1, value, start)
     orbit = orbits(lanes, strobes["constant"], start + 0.005, {"b": np.array([b])}, 1)
     exact = np.linalg.eigvals(monodromy_of("constant", b, start))
-    assert apart(orbit.u[0], start[0]) < 1e-9
+    assert largest_difference(orbit.u[0], start[0]) < 1e-9
     assert exact.real.min() < -1
     # The error of the map, times curvature as above and the condition of an eigenvalue.
     assert abs(np.linalg.eigvals(orbit.monodromy[0]).real.min() - exact.real.min()) < 1e-6
@@ -117,7 +117,7 @@ def test_lane_that_finds_nothing_says_so(lanes, strobes):
     point = attractor("constant", 5.58, 1)[0]
     starts = np.array([point + 0.01, [50.0, -80.0, 1.0], [math.nan] * 3, point - 0.01])
     orbit = orbits(lanes, strobes["constant"], starts, {"b": np.full(4, 5.58)}, 1)
-    assert np.all(apart(orbit.u[[0, 3]], point) < 1e-8)
+    assert np.all(largest_difference(orbit.u[[0, 3]], point) < 1e-8)
     assert not np.any(orbit.residual[1:3] < 1e-7)
 
 
@@ -285,7 +285,7 @@ def test_doubling_point(lanes, strobes, name, level):
     sensitivity = info.error / (64 * np.finfo(taylor.REAL).eps)  # of b to the shooting equations, or a little more
     assert abs(found.value - exact) < MAP_ERROR * sensitivity
     assert found.error < 1e-11
-    assert np.max(apart(found.orbit, info.points)) < 1e-8
+    assert np.max(largest_difference(found.orbit, info.points)) < 1e-8
     assert abs(np.linalg.norm(found.vector[0]) - 1) < 1e-12
     along = np.abs((found.vector * info.vectors).sum()) / np.linalg.norm(found.vector) / np.linalg.norm(info.vectors)
     assert abs(along - 1) < 1e-12

@@ -28,7 +28,7 @@ def marks_of(ax):
     return [line.get_xdata()[0] for line in ax.lines if line.get_linestyle() == "--"]
 
 
-def below(drawing):
+def caption_lines(drawing):
     return drawing.get_supxlabel().splitlines()
 
 
@@ -50,7 +50,7 @@ def test_every_kind_in_the_order_of_the_result():
     assert len(drawing.axes) == 4 + 6
     assert marks_of(drawing.axes[4]) == [5.52, 5.495, 5.489]
     assert drawing.get_suptitle() == "A little of everything"
-    assert below(drawing) == ["jaxnh 0.1.0, blanes_moan6, 60 steps a period, error of one period 1e-05"]
+    assert caption_lines(drawing) == ["jaxnh 0.1.0, blanes_moan6, 60 steps a period, error of one period 1e-05"]
     drawing.draw_without_rendering()
 
 
@@ -71,7 +71,9 @@ def test_without_a_clock_nothing_is_called_a_period():
         "periods": periods(FEW, "crossings"),
     }
     drawing = figure(tree(groups, section="y1 = 0, up"))
-    assert below(drawing) == ["jaxnh 0.1.0, blanes_moan6, 60 steps in a time of 6.283, error of one return 1e-05"]
+    assert caption_lines(drawing) == [
+        "jaxnh 0.1.0, blanes_moan6, 60 steps in a time of 6.283, error of one return 1e-05"
+    ]
     assert drawing.axes[-1].get_ylabel() == "least period (crossings)"
 
 
@@ -119,7 +121,7 @@ def test_lanes_that_are_too_many_are_named(panel):
     assert len(drawing.axes) == 12
     assert drawing.axes[0].get_title() == "(a) $b$ = 0"
     assert drawing.axes[-1].get_title() == "(t) $b$ = 19"
-    assert below(drawing)[1:] == ["12 of the 20 values of b are drawn"]
+    assert caption_lines(drawing)[1:] == ["12 of the 20 values of b are drawn"]
 
 
 def test_a_lane_taken_out_of_a_group():
@@ -143,7 +145,7 @@ def test_lanes_of_two_axes_have_a_panel_each():
     assert all(len(ax.lines) == 2 for ax in drawing.axes)
     more = xr.Variable(("mass",), np.arange(5.0), MASSES.attrs)
     groups = {name: over_masses(data.isel(mass=0, drop=True), more) for name, data in groups.items()}
-    assert below(figure(tree(groups, "b mass")))[1:] == ["12 of the 20 points of b and mass are drawn"]
+    assert caption_lines(figure(tree(groups, "b mass")))[1:] == ["12 of the 20 points of b and mass are drawn"]
 
 
 # ---- two axes
@@ -170,7 +172,7 @@ def test_a_few_points_of_a_second_axis_have_a_panel_each():
         np.testing.assert_array_equal(chart.lines[1].get_ydata(), [1.0, 2.0, 3.0])
     assert marks_of(drawing.axes[0]) == [5.52, 5.495, 5.489]
     np.testing.assert_allclose(marks_of(drawing.axes[1]), [5.53, 5.505, 5.499])
-    assert below(drawing)[1:] == []
+    assert caption_lines(drawing)[1:] == []
     drawing.draw_without_rendering()
 
 
@@ -184,7 +186,7 @@ def test_many_points_of_a_second_axis_are_a_chart(count):
     assert len(charts) == (0 if count == 6 else 1)
     assert len([ax for ax in drawing.axes if ax.get_xlabel()]) == (12 if count == 6 else 1)
     said = ["values is not drawn: it has 7 points of mass, of which at most 6 get a panel each"]
-    assert below(drawing)[1:] == ([] if count == 6 else said)
+    assert caption_lines(drawing)[1:] == ([] if count == 6 else said)
 
 
 def test_a_third_axis_is_not_drawn():
@@ -193,7 +195,7 @@ def test_a_third_axis_is_not_drawn():
     data = over_masses(verdicts(FEW))
     data = xr.concat([data] * 3, "length", data_vars="all").assign_coords(length=more)
     drawing = figure(tree({"kinds": data, "cascade": doublings()}, "b mass length"))
-    assert below(drawing)[1:] == [
+    assert caption_lines(drawing)[1:] == [
         "kinds is not drawn: it has 9 points of mass and length, of which its panel shows one"
     ]
 
@@ -211,7 +213,7 @@ def test_a_second_axis_of_one_point():
     drawing = figure(tree({name: over_masses(data, one) for name, data in groups.items()}, "b mass"))
     assert [ax.get_title("left") for ax in drawing.axes] == [r"$\mathrm{mass}$ = 2"] * 5
     assert marks_of(drawing.axes[0]) == [5.52, 5.495, 5.489]
-    assert len(below(drawing)) == 1
+    assert len(caption_lines(drawing)) == 1
 
 
 # ---- what cannot be drawn
@@ -222,7 +224,7 @@ def test_groups_that_do_not_say_how_are_named():
     old, later = plain.rename(strobe="sample").drop_attrs(deep=False), plain.assign_attrs(panel="hologram")
     drawing = figure(tree({"old": old, "older": old, "later": later, "values": plain}))
     assert len(drawing.axes) == 1
-    assert below(drawing)[1:] == [
+    assert caption_lines(drawing)[1:] == [
         "later is not drawn: its panel, hologram, is of no kind known here",
         "there is no picture of old, older",
     ]

@@ -62,13 +62,13 @@ CASES = [
 
 
 @functools.cache
-def known(name):
+def make_flow(name):
     return FLOWS[name]()
 
 
 @pytest.mark.parametrize("name", FLOWS)
 def test_every_flow_has_the_solvers_for_its_kind(name):
-    assert bool(second_order(known(name).system.flow)) == (name in SECOND_ORDER)
+    assert bool(second_order(make_flow(name).system.flow)) == (name in SECOND_ORDER)
 
 
 @pytest.mark.parametrize(("name", "solver"), CASES)
@@ -77,7 +77,7 @@ def test_error_falls_by_the_order(lanes, name, solver):
 
     Errors are geometric means over lanes, as some lanes are late to follow the law and others cross zero.
     """
-    flow, solver = known(name), SOLVERS[solver]
+    flow, solver = make_flow(name), SOLVERS[solver]
     steps = flow.evaluations // solver.stages
     coarse, fine = (
         math.exp(np.log(np.maximum(flow.errors(lanes, solver, n), 1e-18)).mean()) for n in (steps, 2 * steps)

@@ -15,7 +15,7 @@ from tests.helpers import taylor
 from tests.helpers.cases import some_slow
 from tests.helpers.convergence import order_of
 from tests.helpers.diffrax_solvers import RungeKuttaSolver
-from tests.helpers.measurement import UNIT, apart
+from tests.helpers.measurement import UNIT, largest_difference
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")
 
@@ -115,5 +115,5 @@ def test_adaptive_steps(name):
     assert np.abs(np.asarray(steps) - np.asarray(their_steps)).max() <= 1
     monodromy = taylor.strobe_jacobian(twin(system), B, STATES)[1].astype(float)
     allowed = tolerance * np.asarray(steps) * np.maximum(np.linalg.norm(monodromy, 2, axis=(1, 2)), 1)
-    assert np.all(apart(ours, exact) < allowed)
-    assert np.all(apart(ours, theirs) < allowed)
+    assert np.all(largest_difference(ours, exact) < allowed)
+    assert np.all(largest_difference(ours, theirs) < allowed)

@@ -60,7 +60,7 @@ def structure(path):
 # ---- one axis
 
 
-def written(first, end, width, seed=3):
+def group_of_lanes(first, end, width, seed=3):
     """A group of lanes as an analysis leaves it: variables over b of several kinds, and one without b."""
     x = np.random.default_rng(seed).normal(size=(10_000, width))
     x[7, 0] = np.nan
@@ -84,12 +84,12 @@ WIDTHS = {
 def test_merged_file_is_the_file_written_at_once(tmp_path, tile, width):
     """Blocks that go over as they are and blocks that do not, whatever the tile: data, order and attributes."""
     plan = job(line(10_000), tile, DIAGRAM)
-    parts = [(piece, written(piece.begin[0], piece.end[0], width)) for piece in plan.cutting.pieces()]
+    parts = [(piece, group_of_lanes(piece.begin[0], piece.end[0], width)) for piece in plan.cutting.pieces()]
     for piece, data in parts:
         tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {}, SPENT)
     merged, plain = tmp_path / "merged.h5", tmp_path / "plain.h5"
     merge.merge(merged, ATTRS, tmp_path, plan.cutting, {"diagram": ["one is lost"]})
-    store.write(plain, ATTRS, {"diagram": written(0, 10_000, width)})
+    store.write(plain, ATTRS, {"diagram": group_of_lanes(0, 10_000, width)})
     store.verify(merged)
     ours, expected = store.read_group(merged, "diagram"), store.read_group(plain, "diagram")
     assert list(ours) == list(expected)
@@ -367,7 +367,7 @@ def test_virtual_of_too_many_files(tmp_path, monkeypatch):
 def test_damaged_piece_is_named_while_merging(tmp_path):
     plan = job(line(3000), 1024, DIAGRAM)
     for piece in plan.cutting.pieces():
-        data = written(piece.begin[0], piece.end[0], 40)
+        data = group_of_lanes(piece.begin[0], piece.end[0], 40)
         tiles.write_piece(tmp_path, plan, piece, {"diagram": data}, {}, SPENT)
     bad = plan.cutting.pieces()[1]
     path = tiles.piece_path(tmp_path, bad)

@@ -59,7 +59,7 @@ def test_locks(tmp_path):
 
 
 @pytest.fixture
-def written(tmp_path):
+def piece_folder(tmp_path):
     """A folder with a piece in it, the second row of a plane, and the job."""
     plan = job(PLANE, tile=4, order=("diagram",))
     piece = plan.cutting.pieces()[1]
@@ -68,8 +68,8 @@ def written(tmp_path):
     return tmp_path, plan, piece, receipt
 
 
-def test_piece_says_what_it_is(written):
-    folder, plan, piece, receipt = written
+def test_piece_says_what_it_is(piece_folder):
+    folder, plan, piece, receipt = piece_folder
     assert tiles.check(folder, plan, piece) == receipt
     assert receipt.spent == SPENT
     assert receipt.counts == {"diagram": {"lost": 3}}
@@ -79,8 +79,8 @@ def test_piece_says_what_it_is(written):
         assert file.attrs["jaxnh_version"] == "0"
 
 
-def test_piece_of_another_run(written):
-    folder, plan, piece, _ = written
+def test_piece_of_another_run(piece_folder):
+    folder, plan, piece, _ = piece_folder
     other = dataclasses.replace(plan, provenance=dataclasses.replace(plan.provenance, config_sha256="d" * 64))
     with pytest.raises(DamagedError, match="of another config"):
         tiles.check(folder, other, piece)
@@ -94,15 +94,15 @@ def test_piece_of_another_run(written):
 
 
 @pytest.mark.parametrize("size", [0, 100, 2000])
-def test_piece_cut_short(written, size):
-    folder, plan, piece, receipt = written
+def test_piece_cut_short(piece_folder, size):
+    folder, plan, piece, receipt = piece_folder
     receipt.path.write_bytes(receipt.path.read_bytes()[:size])
     with pytest.raises(DamagedError, match="it is cut off or damaged"):
         tiles.check(folder, plan, piece)
 
 
-def test_piece_with_a_changed_number(written):
-    folder, plan, piece, receipt = written
+def test_piece_with_a_changed_number(piece_folder):
+    folder, plan, piece, receipt = piece_folder
     with h5py.File(receipt.path, "r+") as file:
         file["diagram/x"][2, 0] = 2.0
     with pytest.raises(DamagedError, match=r"^the data of /diagram/x do not fit their checksum"):
@@ -117,9 +117,9 @@ def test_folder_that_is_gone(tmp_path):
         tiles.origin(tmp_path / "gone")
 
 
-def test_what_a_killed_process_left_is_removed(written):
+def test_what_a_killed_process_left_is_removed(piece_folder):
     """Beside a result: tiles that are all there, or that no job is known of; not those of a run that goes on."""
-    folder, plan, _, receipt = written
+    folder, plan, _, receipt = piece_folder
     tiles.publish(folder, plan, tiles.Origin("text", None, SPENT))
     tiles.tidy(folder)
     assert receipt.path.exists()

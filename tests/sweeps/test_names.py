@@ -1,15 +1,16 @@
-"""The check of names: it finds what it is for, and the package has none of it."""
+"""The check of names: it finds what it is for, and package, sweeps and tests have none of it."""
 
 from __future__ import annotations
 
 import pytest
 
-from sweeps.checks.measured_at import PACKAGE, ROOT
-from sweeps.checks.names import faults
+from sweeps.checks.measured_at import ROOT
+from sweeps.checks.names import FOLDERS, faults
 
 
-def test_names_of_the_package():
-    assert list(faults(ROOT / PACKAGE)) == []
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_names_of_a_folder(folder):
+    assert list(faults(ROOT / folder)) == []
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def test_every_document_is_run():
     pages = {path.name for path in (ROOT / "docs/howto").glob("*.md")}
     run = {name.split("/")[-1].split(":")[0] for name in EXAMPLES if name.startswith("docs/howto/")}
     assert run == pages - WITHOUT
-    assert newcomer.known(newcomer.PAGE.read_text())[1].keys() == EXAMPLES.keys()
+    assert newcomer.read_page(newcomer.PAGE.read_text())[1].keys() == EXAMPLES.keys()
     assert sum(name.startswith("README.md: ") for name in EXAMPLES) == 6
     readme = (ROOT / "README.md").read_text()
     shell = [line for language, body in newcomer.blocks(readme) if language == "sh" for line in body.splitlines()]
@@ -79,7 +79,7 @@ def test_limits_follow_the_machine():
 @functools.cache
 def slower():
     """How many times as slow this machine is as the page's."""
-    return newcomer.yardstick() / newcomer.known(newcomer.PAGE.read_text())[0]
+    return newcomer.yardstick() / newcomer.read_page(newcomer.PAGE.read_text())[0]
 
 
 @pytest.mark.slow
@@ -88,4 +88,4 @@ def test_what_a_newcomer_types(name):
     """Each example as it stands, beside another worker's test."""
     ran = newcomer.run(EXAMPLES[name])
     assert not ran.fault
-    assert ran.seconds < newcomer.limit_of(newcomer.known(newcomer.PAGE.read_text())[1][name], slower(), 1)
+    assert ran.seconds < newcomer.limit_of(newcomer.read_page(newcomer.PAGE.read_text())[1][name], slower(), 1)

@@ -17,7 +17,7 @@ from sweeps.peers.flows.peers_flow_heyoka import clocks, true_scene
 from sweeps.peers.flows.peers_flow_jaxnh import Contestant, placed
 from sweeps.peers.flows.peers_flow_pynamicalsys_tangent import MODELS
 from sweeps.peers.flows.peers_flows import MAPS, SPECTRA
-from sweeps.peers.flows.peers_flows_report import FlowStudy, Measured, markdown
+from sweeps.peers.flows.peers_flows_report import FlowRows, FlowStudy, markdown
 from sweeps.peers.particle.peers import CONTESTANTS, TANGENT_CONTESTANTS
 from sweeps.peers.particle.peers_heyoka_tangent import tangent_equations
 from sweeps.peers.particle.peers_report import AT_OWN_ERROR, Row
@@ -106,7 +106,7 @@ def test_page_of_flows():
         return Row(1e-6, name, setting, [1e5] * 3, [1.0] * 3, [ratio] * 3, [ratio] * 3, [])
 
     rows = [row("jaxnh", 1.0), row("heyoka batch", 9.0), row("diffrax Dopri8", 40.0), row(AT_OWN_ERROR, 7.0)]
-    flows = [Measured(CASES["duffing"], rows, []), Measured(CASES["double_pendulum"], rows, [])]
+    flows = [FlowRows(CASES["duffing"], rows, []), FlowRows(CASES["double_pendulum"], rows, [])]
     study = FlowStudy("python -m sweeps.peers.flows.peers_flows", "Measured at commit 0.", 3, 256, flows, 1.0)
     page = markdown(study, "old\n<!-- Below this line: written by hand, kept by the next run. -->\nby hand\n")
     assert "| duffing | 7.00 ± 0.00× (meets 6) |" in page

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from sweeps.timing import startup
-from sweeps.timing.startup import CACHES, PARTS, Checkout, Sample
+from sweeps.timing.startup import CACHES, PARTS, Checkout, RunSeconds
 from tests.helpers.paths import ROOT
 
 
 def sample(whole, each):
-    return Sample(whole, {part: each for part in PARTS if part != "rest"})
+    return RunSeconds(whole, {part: each for part in PARTS if part != "rest"})
 
 
 def test_table_has_medians_and_shares():
@@ -34,7 +34,7 @@ def test_table_has_medians_and_shares():
 @pytest.mark.slow
 def test_a_run_is_split(tmp_path, monkeypatch):
     """Two runs of a small scene, of which the second finds its programs: parts are there and are no more than all."""
-    few = startup.Scene(startup.SMALL, ("sweep.b.count=4",))
+    few = startup.TimedConfig(startup.SMALL, ("sweep.b.count=4",))
     monkeypatch.setitem(startup.SCENES, "small", few)
     empty, kept = (startup.run_once(Checkout(ROOT, "here"), "small", tmp_path / "cache", tmp_path) for _ in CACHES)
     for one in (empty, kept):

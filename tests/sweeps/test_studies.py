@@ -25,8 +25,8 @@ from sweeps.studies import compositions, critical_slowing
 from sweeps.studies.critical_slowing_study import (
     THRESHOLDS,
     Cascade,
+    CascadeStudy,
     Law,
-    Study,
     _multisect,
     agreement,
     detected_period,
@@ -179,7 +179,7 @@ def test_agreement_with_published_values():
     bias = (published * needed)[:, None, None] / transients * np.ones((2, len(THRESHOLDS), 1))
     nothing, unknown = np.zeros(2), np.full(2, np.nan)
     cascade = Cascade("", None, None, np.array([1, 2]), nothing, nothing, nothing, "")
-    study = Study(cascade, Law(unknown, unknown, unknown), bias, bias, published)
+    study = CascadeStudy(cascade, Law(unknown, unknown, unknown), bias, bias, published)
     found = agreement([study], transients, 0)
     assert found.most == 2
     np.testing.assert_allclose(found.best, (450, 800), rtol=5e-3)  # the N tried lie 0.23 % apart

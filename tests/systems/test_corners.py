@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("quick_compiling", "one_core")
 Y = (0.0, 0.0, 0.0)
 
 
-def made(rhs, **parameters):
+def definitions(rhs, **parameters):
     """A definition of three coordinates, and that with switches."""
 
     def define(a=1.0):
@@ -65,7 +65,7 @@ SURFACES = {
 @pytest.mark.parametrize(("rhs", "count"), SURFACES.values(), ids=SURFACES)
 def test_surfaces_and_the_field(rhs, count):
     """All surfaces are found; by its branches the field is as it was, to the last bit."""
-    define, located = made(rhs)
+    define, located = definitions(rhs)
     system = piecewise_smooth(located, {"a": 1.0})
     assert system.switches == count
     draws = np.random.default_rng(3).uniform(-3.0, 3.0, (64, 5))
@@ -122,7 +122,7 @@ NEEDLESS = {
 @pytest.mark.parametrize("rhs", NEEDLESS.values(), ids=NEEDLESS)
 def test_what_needs_no_switch_stays_as_it_is(rhs):
     """So that programs and bits are those of a smooth flow."""
-    define, located = made(rhs)
+    define, located = definitions(rhs)
     assert located is define
 
 
@@ -153,12 +153,12 @@ ATTRACTING = {
 @pytest.mark.parametrize(("rhs", "slides"), ATTRACTING.values(), ids=ATTRACTING)
 def test_surfaces_that_both_sides_may_push_towards(rhs, slides):
     """Along these alone motions may slide, which costs the others nothing."""
-    assert piecewise_smooth(made(rhs)[1], {"a": 1.0}).holds == (slides,)
+    assert piecewise_smooth(definitions(rhs)[1], {"a": 1.0}).holds == (slides,)
 
 
 def test_friction_by_sign_slides():
     """x'' = −x − sign(v − 1/2): a block on a belt sticks to it, and slips where the spring pulls by more than 1."""
-    _, located = made(lambda y, t, a: (y[1], -y[0] - a * jnp.sign(y[1] - 0.5), 0.0))
+    _, located = definitions(lambda y, t, a: (y[1], -y[0] - a * jnp.sign(y[1] - 0.5), 0.0))
     system = piecewise_smooth(located, {"a": 1.0})
     strobe = make_return_map(system, dopri8, 40, span=(0.0, 2.5))
     x, v, _ = state_after(strobe, jnp.array([0.0, 0.5, 0.0]), {}).y

@@ -19,7 +19,7 @@ from jaxnh.systems.particle import CHART, constant_speed, disturbed_speed
 from jaxnh.systems.particle_parameters import strobe_period
 from tests.flows.paper_equations import constrained_field
 from tests.flows.particle import SYSTEMS, twin
-from tests.helpers.measurement import UNIT, apart
+from tests.helpers.measurement import UNIT, largest_difference
 
 MOMENTS = 200
 RNG = np.random.default_rng(11)
@@ -246,7 +246,10 @@ def test_start(system):
             float(np.broadcast_to(leaf, 4)[i]) for leaf in jax.tree.leaves(start)
         ]
     exact = twin(system).start(0.2, x2[1], -0.5)
-    assert apart(system.chart.host_points(system.start({"x1": 0.2, "x2": x2[1], "y1": -0.5})), exact) < 8 * UNIT
+    assert (
+        largest_difference(system.chart.host_points(system.start({"x1": 0.2, "x2": x2[1], "y1": -0.5})), exact)
+        < 8 * UNIT
+    )
 
 
 def test_start_that_is_too_fast():
@@ -263,7 +266,7 @@ def test_section_points_of_many_states(system):
     points = system.chart.host_points(state)
     assert points.shape == (8, MOMENTS // 8, 3)
     charted = np.asarray(jax.vmap(jax.vmap(system.chart.point))(jax.tree.map(jnp.asarray, state)))
-    assert apart(points, charted).max() < 8 * UNIT
+    assert largest_difference(points, charted).max() < 8 * UNIT
     for i, j in np.ndindex(points.shape[:2]):
         one = system.chart.host_points(jax.tree.map(lambda leaf, i=i, j=j: leaf[i, j], state))
         np.testing.assert_array_equal(one, points[i, j])
@@ -283,7 +286,7 @@ def test_chart_and_back(x, y, theta):
     assert CHART.state(jnp.asarray(u))[0] == (x, y)
     back = np.asarray(CHART.point(CHART.state(jnp.asarray(u))))
     assert tuple(back[:2]) == (x, y)
-    assert apart(back, u) < 8 * UNIT
+    assert largest_difference(back, u) < 8 * UNIT
     assert -math.pi <= back[2] <= math.pi
 
 
@@ -294,6 +297,6 @@ def test_wrap_takes_whole_turns_out(x, y, theta, turns):
     u = np.array([x, y, theta + 2 * math.pi * turns])
     for wrapped in (CHART.wrap(u), np.asarray(CHART.wrap(jnp.asarray(u)))):
         assert tuple(wrapped[:2]) == (x, y)
-        assert apart(wrapped, [x, y, theta]) < 8 * 2 * math.pi * (1 + abs(turns)) * UNIT
+        assert largest_difference(wrapped, [x, y, theta]) < 8 * 2 * math.pi * (1 + abs(turns)) * UNIT
         assert -math.pi <= wrapped[2] <= math.pi
     np.testing.assert_array_equal(CHART.wrap(np.stack([u, -u])), np.stack([CHART.wrap(u), CHART.wrap(-u)]))

@@ -40,7 +40,7 @@ def picked(xp):
     return lambda y, t: xp.concatenate([y[1:] * y[0], y[::-1][:1]])
 
 
-def chosen(xp):
+def choice(xp):
     return lambda y, t: xp.where(y > 0.0, y, xp.asarray([1, 2, 3]) * t)
 
 
@@ -55,7 +55,7 @@ def users_settings():
         yield
 
 
-FUNCTIONS = [ring, product, inner, row, whole_powers, least, picked, chosen, outer]
+FUNCTIONS = [ring, product, inner, row, whole_powers, least, picked, choice, outer]
 
 
 def in_jax(function):

@@ -145,16 +145,8 @@ def _curve_numbers(row: _Row, sweep: SweepLanes, every: Sequence[Curve]) -> Entr
 
 def _curve_orbits(row: _Row, lanes: LaneRunner, every: Sequence[Curve]) -> xr.Dataset:
     """Coordinates of the orbits of all curves, over (curve, point) and their points."""
-    shape = (len(every), max((len(curve.points) for curve in every), default=0))
-
-    def table(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
-        filled = np.full((*shape, *more), empty)
-        for k, value in enumerate(values):
-            filled[(k, *map(slice, value.shape))] = value
-        return filled
-
     points = [(int(curve.equilibria), curve.points) for curve in every]
-    return xr.Dataset(orbit_coordinates(lanes, row.grown, points, table, ("curve", "point")))
+    return xr.Dataset(orbit_coordinates(lanes, row.grown, points, ("curve", "point")))
 
 
 # ---- limits

@@ -16,6 +16,7 @@ from jaxnh.analyses.basins.continuation import CHANGES, Change
 from jaxnh.analyses.basins.settling import CONSERVATIVE, TRANSIENT, LaneRecords
 from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.intervals import normal_quantile
+from jaxnh.analyses.table_arrays import RowPlaces
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.systems.flow import Flow, Output, status
 
@@ -115,9 +116,8 @@ def attractors_group(
 
     def table(values: np.ndarray, empty: float) -> np.ndarray:
         """Return values of all attractors over the axes."""
-        whole = np.full((math.prod(sizes), most, *values.shape[1:]), empty, values.dtype)
-        whole[known.point, known.number - 1] = values
-        return whole.reshape(*sizes, most, *values.shape[1:])
+        places = RowPlaces((math.prod(sizes), most), (known.point, known.number - 1))
+        return places.put(values, empty, values.dtype).reshape(*sizes, most, *values.shape[1:])
 
     nothing = np.zeros(0)
     judged = known.judged

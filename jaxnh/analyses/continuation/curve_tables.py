@@ -13,6 +13,7 @@ from jaxnh.analyses.base import Entry, Table, flag, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, iterate_units
 from jaxnh.analyses.continuation.condition_curves import CONDITIONS, ConditionCurve
 from jaxnh.analyses.continuation.tables import period_variable, special_kinds, special_values
+from jaxnh.analyses.table_arrays import longest, padded, real_and_imaginary
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, Special
 from jaxnh.orbits.bifurcations.equilibrium_forms import COUNT, TERMS
 from jaxnh.orbits.continuation.curves import Curve
@@ -46,16 +47,13 @@ class CurveSet(NamedTuple):
 def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, max_period: int) -> xr.Dataset:
     """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
     curves, errors, special = followed
-    shape = (len(curves), max((len(curve.values) for curve in curves), default=0))
+    length = longest([curve.values for curve in curves])
 
     def table(values: Sequence[np.ndarray], *more: int) -> np.ndarray:
-        filled = np.full((*shape, *more), np.nan)
-        for k, value in enumerate(values):
-            filled[(k, *map(slice, value.shape))] = value
-        return filled
+        return padded(values, (length, *more))
 
     dims, d = ("curve", "point"), _dimension(batch, curves)
-    multipliers = [np.stack([np.real(curve.multipliers), np.imag(curve.multipliers)], axis=-1) for curve in curves]
+    multipliers = [real_and_imaginary(curve.multipliers) for curve in curves]
     columns: dict[str, Entry] = {}
     for k, axis in enumerate(axes):
         columns[axis.name] = variable(dims, table([curve.values[:, k] for curve in curves]), axis.long_name, axis.units)
@@ -109,10 +107,8 @@ def _multiplier_words(curves: Sequence[Curve | ConditionCurve]) -> str:
 def special_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet) -> xr.Dataset:
     """Variables over (codimension_two,): the points of codimension two, each with its curve and its multipliers."""
     curves, _, special = followed
-    multipliers = np.full((len(special), _dimension(batch, curves), 2), np.nan)
-    for k, (_, point, *_) in enumerate(special):
-        values = point.multipliers
-        multipliers[k, : len(values)] = np.stack([np.real(values), np.imag(values)], axis=-1)
+    parts = [real_and_imaginary(member.point.multipliers) for member in special]
+    multipliers = padded(parts, (_dimension(batch, curves), 2))
     periods = [curves[point.curve].period for point in special]
     variables = {
         **_kind_and_curve("", special),

@@ -36,6 +36,7 @@ from jaxnh.analyses.options.orbits import HomoclinicOptions
 from jaxnh.analyses.periodic.flow_cycles import flow_problem, no_collocation
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.random_starts import check_box
+from jaxnh.analyses.table_arrays import longest, padded, real_and_imaginary
 from jaxnh.orbits.bifurcations.connection_points import POINTS, TYPES, SpecialConnection, leading, special_connections
 from jaxnh.orbits.collocation.connection_joins import is_on_curve, join_connections
 from jaxnh.orbits.collocation.connection_meshes import Connection, refined
@@ -183,27 +184,22 @@ def _kind(point: Connection) -> int:
 
 def _dataset(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[FollowedConnections]) -> xr.Dataset:
     """Variables over (curve, point), filled up with NaN, and over (codimension_two,)."""
-    shape, d = (len(curves), max((len(curve.points) for curve in curves), default=0)), batch.chart.dimension
-
-    def table(numbers: Sequence[Sequence[np.ndarray] | np.ndarray], *more: int, fill: float = np.nan) -> np.ndarray:
-        filled = np.full((*shape, *more), fill)
-        for k, number in enumerate(numbers):
-            filled[k, : len(number)] = np.reshape(number, (len(number), *more))
-        return filled
+    length, d = longest([curve.points for curve in curves]), batch.chart.dimension
 
     def along(number_of, *more: int, fill: float = np.nan) -> np.ndarray:
-        return table([[number_of(point) for point in curve.points] for curve in curves], *more, fill=fill)
+        rows = [[number_of(point) for point in curve.points] for curve in curves]
+        return padded(rows, (length, *more), fill)
 
     dims, rate = ("curve", "point"), rate_attrs(batch.flow)
     columns: dict[str, Entry] = {}
     for k, axis in enumerate(axes):
         columns[axis.name] = variable(dims, along(lambda point, k=k: point.values[k]), axis.long_name, axis.units)
         words = f"error of {axis.name}: a point of the exact curve is as near in both parameters"
-        columns[f"{axis.name}_error"] = variable(dims, table([c.errors[:, k] for c in curves]), words, axis.units)
+        columns[f"{axis.name}_error"] = variable(
+            dims, padded([c.errors[:, k] for c in curves], (length,)), words, axis.units
+        )
     columns |= _saddle_columns(batch, dims, along)
-    eigenvalues = along(
-        lambda point: np.stack([point.departure.eigenvalues.real, point.departure.eigenvalues.imag], 1), d, 2
-    )
+    eigenvalues = along(lambda point: real_and_imaginary(point.departure.eigenvalues), d, 2)
     quantity = along(lambda point: leading(point.departure).saddle_quantity)
     kinds = along(lambda point: leading(point.departure).kind, fill=-1.0)
     shilnikov = along(lambda point: float(leading(point.departure).shilnikov), fill=-1.0)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
@@ -15,6 +14,7 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.equilibrium_sensitivities import equilibrium_sensitivities
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.continuation.grazing import grazing_sensitivities
+from jaxnh.analyses.coordinates import coordinates_at
 from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, bifurcation_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import (
     absent_words,
@@ -22,8 +22,7 @@ from jaxnh.analyses.periodic.sensitivity_tables import (
     sensitivity_heads,
     sensitivity_variables,
 )
-from jaxnh.analyses.section_points import states_at
-from jaxnh.maps.section import outputs, plot_plane
+from jaxnh.analyses.table_arrays import longest, padded, real_and_imaginary
 from jaxnh.orbits.bifurcations.normal_forms import CRITICALITIES
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.branches import Branch
@@ -58,12 +57,6 @@ class FollowedBranches(NamedTuple):
     durations: Sequence[np.ndarray] | None = None
 
 
-class _Table(Protocol):
-    def __call__(self, values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
-        """Rows of different lengths as one array, filled up."""
-        ...
-
-
 def datasets(
     lanes: LaneRunner, grown: Sequence[FollowedBranches], max_period: int, *, derived: bool = False
 ) -> dict[str, xr.Dataset]:
@@ -90,7 +83,10 @@ def datasets(
     }
     lost = sum(len(tree.lost) for tree in trees)
     if (timed := grown[0].durations) is not None:
-        branches["duration"] = _durations(timed, [rank[0, k] for k in range(len(timed))], branches, batch)
+        of_branch = {rank[0, k]: duration for k, duration in enumerate(timed)}  # of equilibria there is none
+        whole = padded([of_branch.get(k, ()) for k in range(len(order))], branches[axis.name][1].shape[1:])
+        words = "time that the cycle takes"
+        branches["duration"] = variable(("branch", "point"), whole, words, batch.flow.labels.units["t"])
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
     signs = np.full(branches[axis.name][1].shape, -1)
     for family, tree in enumerate(trees):
@@ -126,17 +122,6 @@ def ordered_bifurcations(grown: Sequence[FollowedBranches]) -> list[tuple[int, B
     return sorted(every, key=lambda pair: (pair[1].value, pair[1].kind, len(pair[1].points)))
 
 
-def _durations(
-    timed: Sequence[np.ndarray], places: Sequence[int], branches: Mapping[str, Entry], batch: LaneBatch
-) -> Entry:
-    """Durations of cycles over branches and their points; of equilibria there is none."""
-    dims, like, _ = branches[batch.first_axis.name]
-    whole = np.full(like.shape, np.nan)
-    for place, duration in zip(places, timed, strict=True):
-        whole[place, : len(duration)] = duration
-    return variable(dims, whole, "time that the cycle takes", batch.flow.labels.units["t"])
-
-
 def _period(part: FollowedBranches, points: int) -> int:
     return 0 if part.family.field else points
 
@@ -162,26 +147,21 @@ def _branches(
 ) -> dict[str, Entry]:
     """Variables over (branch, point), filled up with NaN."""
     axis, system, every = grown[0].batch.first_axis, grown[0].batch.system, [branch for _, branch in branches]
-    shape = (len(every), max((len(branch.value) for branch in every), default=0))
-
-    def table(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
-        whole = np.full((*shape, *more), empty)
-        for k, value in enumerate(values):
-            whole[(k, slice(len(value)), *map(slice, value.shape[1:]))] = value
-        return whole
-
-    dims = ("branch", "point")
+    length, dims = longest([branch.value for branch in every]), ("branch", "point")
     periods = [_period(grown[part], branch.period) for part, branch in branches]
-    values = table([_parts(branch.multipliers) for branch in every], np.nan, _dimension(grown), 2)
+    parts = [real_and_imaginary(branch.multipliers) for branch in every]
+    values = padded(parts, (length, _dimension(grown), 2))
     attracts = [stability(grown[part].family, branch.multipliers, branch.errors) for part, branch in branches]
     residual = "largest component of P(u) − u, in sizes of the motion"
     return {
-        axis.name: variable(dims, table([branch.value for branch in every]), axis.long_name, axis.units),
+        axis.name: variable(dims, padded([branch.value for branch in every], (length,)), axis.long_name, axis.units),
         "period": period_variable(("branch",), periods, iterate_units(system)),
-        **orbit_coordinates(lanes, grown, [(part, branch.points) for part, branch in branches], table, dims),
+        **orbit_coordinates(lanes, grown, [(part, branch.points) for part, branch in branches], dims),
         "multipliers": variable((*dims, "multiplier", "part"), values, _multiplier_words(grown)),
-        "stable": flag(dims, table(attracts, -1), "whether the orbit attracts", ("beyond_the_end", *STABILITIES), -1),
-        "residual": variable(dims, table([branch.residual for branch in every]), residual),
+        "stable": flag(
+            dims, padded(attracts, (length,), -1), "whether the orbit attracts", ("beyond_the_end", *STABILITIES), -1
+        ),
+        "residual": variable(dims, padded([branch.residual for branch in every], (length,)), residual),
         "begins": flag("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
         "ends": flag("branch", [b.ends[1] for b in every], "why the branch ends there", ENDS),
     }
@@ -197,17 +177,9 @@ def _bifurcations(
     axis, system, every = grown[0].batch.first_axis, grown[0].batch.system, [point for _, point in bifurcations]
     dim, name = ("bifurcation",), axis.name
 
-    def column(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
-        whole = np.full((len(every), *more), empty)
-        for k, value in enumerate(values):
-            whole[(k, *map(slice, value.shape))] = value
-        return whole
-
-    def rows(values: Sequence[np.ndarray], empty: float = np.nan, *more: int) -> np.ndarray:
-        return column([value[0] for value in values], empty, *more)
-
     periods = [_period(grown[part], len(point.points)) for part, point in bifurcations]
-    multipliers = column([_parts(point.multipliers) for point in every], np.nan, _dimension(grown), 2)
+    parts = [real_and_imaginary(point.multipliers) for point in every]
+    multipliers = padded(parts, (_dimension(grown), 2))
     error_words = f"largest error of {name}, from step refinement, interpolation and rounding"
     coefficient = (
         "cubic coefficient of the normal form in sizes of the motion; of a fold the curvature of the parameter"
@@ -232,7 +204,7 @@ def _bifurcations(
             -1,
         ),
         "coefficient": variable(dim, np.array([point.coefficient for point in every], float), coefficient),
-        **orbit_coordinates(lanes, grown, [(part, point.points[None]) for part, point in bifurcations], rows, dim),
+        **orbit_coordinates(lanes, grown, [(part, point.points[None]) for part, point in bifurcations], dim),
         "multipliers": variable((*dim, "multiplier", "part"), multipliers, _multiplier_words(grown)),
     }
 
@@ -271,50 +243,31 @@ def _multiplier_words(grown: Sequence[FollowedBranches]) -> str:
 def orbit_coordinates(
     lanes: LaneRunner,
     grown: Sequence[FollowedBranches],
-    points: Sequence[tuple[int, Float[np.ndarray, "k n d"]]],
-    table: _Table,
+    orbits: Sequence[tuple[int, Float[np.ndarray, "k n d"]]],
     dims: tuple[str, ...],
 ) -> dict[str, Entry]:
-    """Coordinates of the first point of every orbit, and under NAME_points of all of them."""
-    most = max((orbit.shape[1] for _, orbit in points), default=1)
-    columns, words = dict[str, dict[int, np.ndarray]](), dict[str, Output]()
+    """Coordinates of the first point of every orbit, and under NAME_points of all of them.
+
+    Args:
+        lanes: runs lanes.
+        grown: families of orbits.
+        orbits: rows of orbits, each with the number of its family; of one orbit each where there is one dimension.
+        dims: dimensions of the rows and, where they have several orbits, of these.
+    """
+    most = max((points.shape[1] for _, points in orbits), default=1)
+    shape, coordinates = (len(orbits), longest([points for _, points in orbits]), most), dict[str, Output]()
     for number, part in enumerate(grown):
-        mine = [place for place, (owner, _) in enumerate(points) if owner == number]
-        for name, (output, rows) in _outputs(lanes, part.batch, [points[place][1] for place in mine]).items():
-            words.setdefault(name, output)
-            columns.setdefault(name, {}).update(zip(mine, rows, strict=True))
-    variables: dict[str, Entry] = {}
-    for name, rows in columns.items():
-        every, said = [rows[place] for place in range(len(points))], words[name]
-        first, attrs = [values[:, 0] for values in every], said.attrs
-        variables[name] = variable(dims, table(first), f"{said.long_name} of the orbit's first point", **attrs)
-        whole = table(every, np.nan, most)
-        variables[f"{name}_points"] = variable(
-            (*dims, "iterate"), whole, f"{said.long_name} of the orbit's points", **attrs
-        )
+        mine = [k for k, (family, _) in enumerate(orbits) if family == number]
+        points = padded([orbits[k][1] for k in mine], (*shape[1:], part.batch.chart.dimension))
+        for name, output in coordinates_at(part.batch, lanes, points).items():
+            whole = coordinates.setdefault(name, output._replace(data=np.full(shape, np.nan)))
+            whole.data[mine] = output.data
+    variables = dict[str, Entry]()
+    for name, (data, words, attrs) in coordinates.items():
+        every = data if len(dims) > 1 else data.reshape(len(orbits), most)
+        variables[name] = variable(dims, every[..., 0], f"{words} of the orbit's first point", **attrs)
+        variables[f"{name}_points"] = variable((*dims, "iterate"), every, f"{words} of the orbit's points", **attrs)
     return variables
-
-
-def _outputs(
-    lanes: LaneRunner, batch: LaneBatch, points: Sequence[Float[np.ndarray, "k n d"]]
-) -> Mapping[str, tuple[Output, list[Float[np.ndarray, "k n"]]]]:
-    """Coordinates of the flow by name, of all points of some branches."""
-    flat = [part.reshape(-1, part.shape[-1]) for part in points]
-    whole = np.concatenate(flat) if flat else np.zeros((1, batch.chart.dimension))
-    states = states_at(batch, lanes, whole)
-    named = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
-    cuts = np.cumsum([len(part) for part in flat])[:-1]
-    coordinates = dict[str, tuple[Output, list[np.ndarray]]]()
-    for name in (plot_plane(batch.system)[0], *batch.flow.coordinates):
-        if name in named:
-            parts = np.split(np.asarray(named[name].data)[:, 0], cuts) if flat else []
-            rows = [part.reshape(orbits.shape[:2]) for part, orbits in zip(parts, points, strict=True)]
-            coordinates[name] = named[name], rows
-    return coordinates
-
-
-def _parts(values: np.ndarray) -> np.ndarray:
-    return np.stack([np.real(values), np.imag(values)], axis=-1)
 
 
 def special_kinds(

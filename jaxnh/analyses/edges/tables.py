@@ -11,14 +11,15 @@ from jaxtyping import Float
 
 from jaxnh.analyses.base import LANE, Entry, Table, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneRunner, iterate_units
+from jaxnh.analyses.coordinates import named_points
 from jaxnh.analyses.edges.bisection import Bracket, Space
 from jaxnh.analyses.edges.destinations import ESCAPES, MOST, UNDECIDED, LaneAttractors
 from jaxnh.analyses.edges.shocks import Shocks
 from jaxnh.analyses.edges.tracking import EQUILIBRIUM, KINDS, SADDLE_ORBIT, EdgeStates
 from jaxnh.analyses.manifolds.saddles import find_germs, parameters_of
-from jaxnh.analyses.manifolds.tables import named_points
 from jaxnh.analyses.options.basins import EdgesOptions
 from jaxnh.analyses.orbits.measurement import measure
+from jaxnh.analyses.table_arrays import RowPlaces, ordered_places
 from jaxnh.analyses.verdict import KINDS as MOTIONS
 from jaxnh.orbits.recognition import Cycles, equal_cycles
 from jaxnh.systems.flow import NOT_FINITE, STATUS
@@ -116,7 +117,7 @@ def _of_attractors(made: Edges, lanes: LaneRunner) -> dict[str, Entry]:
 def _of_pairs(options: EdgesOptions, made: Edges, lanes: LaneRunner) -> dict[str, Entry]:
     """Return edge states, over the pairs of starts that have led to them."""
     pairs, states, unit = made.pairs, made.states, iterate_units(made.space.batch.system)
-    dims, at = (LANE, "pair"), _Places((made.space.batch.count, options.pairs), _places(pairs.lane))
+    dims, at = (LANE, "pair"), ordered_places(pairs.lane, (made.space.batch.count, options.pairs))
 
     def number(name: str, values: np.ndarray, words: str, **attrs: Any) -> dict[str, Entry]:
         return {name: number_variable(dims, at.put(values, 0, np.int32), words, ("none",), **attrs)}
@@ -136,7 +137,7 @@ def _of_pairs(options: EdgesOptions, made: Edges, lanes: LaneRunner) -> dict[str
     }
 
 
-def _multipliers(dims: tuple[str, ...], at: _Places, exact: _Exact) -> dict[str, Entry]:
+def _multipliers(dims: tuple[str, ...], at: RowPlaces, exact: _Exact) -> dict[str, Entry]:
     """Return the multiplier along the unstable direction and the largest of the others, with errors."""
     entries = dict[str, Entry]()
     names = "multiplier", "second_multiplier"
@@ -144,17 +145,17 @@ def _multipliers(dims: tuple[str, ...], at: _Places, exact: _Exact) -> dict[str,
     for k, (name, said) in enumerate(zip(names, words, strict=True)):
         if k < exact.multipliers.shape[1]:
             values = np.real(exact.multipliers[:, k]) if k == 0 else np.abs(exact.multipliers[:, k])
-            entries[name] = variable(dims, at.put(values, np.nan), said)
-            entries[f"{name}_error"] = variable(dims, at.put(exact.errors[:, k], np.nan), f"error of the {said}")
+            entries[name] = variable(dims, at.put(values), said)
+            entries[f"{name}_error"] = variable(dims, at.put(exact.errors[:, k]), f"error of the {said}")
     return entries
 
 
-def _of_points(made: Edges, lanes: LaneRunner, dims: tuple[str, ...], at: _Places, exact: _Exact) -> dict[str, Entry]:
+def _of_points(made: Edges, lanes: LaneRunner, dims: tuple[str, ...], at: RowPlaces, exact: _Exact) -> dict[str, Entry]:
     """Return coordinates of edge states with errors, their unstable directions, and motions in the boundary."""
     batch, size = made.space.batch, made.space.size[made.pairs.lane]
 
     def named(points: np.ndarray, ending: str, words: str, *more: str) -> dict[str, Entry]:
-        return named_points(batch, lanes, at.put(points, np.nan), (*dims, *more), ending, words)
+        return named_points(batch, lanes, at.put(points), (*dims, *more), ending, words)
 
     edge = named(exact.points, "_edge", "of a point of the edge state")
     others = [named(points, "_edge", "") for points in (exact.coarse, exact.points + _rounding(exact)[:, None] * size)]
@@ -213,17 +214,17 @@ def _numbered(made: Edges) -> np.ndarray:
 
 def _of_shocks(made: Edges, lanes: LaneRunner, shocks: Shocks) -> dict[str, Entry]:
     """Return the least shock of each attractor, with how many were tried."""
-    dims, at = (LANE, "attractor"), _Places((made.whole.batch.count, MOST), (shocks.lane, shocks.attractor))
+    dims, at = (LANE, "attractor"), RowPlaces((made.whole.batch.count, MOST), (shocks.lane, shocks.attractor))
     base, hit = (
-        named_points(made.whole.batch, lanes, at.put(points, np.nan), dims, "_shock", "of the displacement")
+        named_points(made.whole.batch, lanes, at.put(points), dims, "_shock", "of the displacement")
         for points in (shocks.base, shocks.base + shocks.displacement)
     )
     known = np.isfinite(shocks.length)
     of_length = f"least displacement known that leads to another attractor, {_SIZES}"
     of_point = "number of the point of the attractor that is displaced"
     return {
-        "shock": variable(dims, at.put(shocks.length, np.nan), of_length),
-        "shock_error": variable(dims, at.put(shocks.error, np.nan), "error of the least shock"),
+        "shock": variable(dims, at.put(shocks.length), of_length),
+        "shock_error": variable(dims, at.put(shocks.error), "error of the least shock"),
         "shock_point": number_variable(dims, at.put(shocks.point + 1, 0, np.int32), of_point, ("none",)),
         "shock_to": _attractor(dims, at.put(np.where(known, shocks.to + 1, -1), -1, np.int32), "attractor after it"),
         "shocks_tried": number_variable(
@@ -231,24 +232,6 @@ def _of_shocks(made: Edges, lanes: LaneRunner, shocks: Shocks) -> dict[str, Entr
         ),
         **{name: _quotient(hit[name], base[name], 1.0) for name in base},
     }
-
-
-class _Places(NamedTuple):
-    """Places of rows in an array over lanes and pairs, or lanes and attractors."""
-
-    shape: tuple[int, int]
-    at: tuple[np.ndarray, np.ndarray]
-
-    def put(self, values: np.ndarray, empty: float, dtype: Any = float) -> np.ndarray:
-        """Return an array with the rows at their places, and a number for nothing elsewhere."""
-        whole = np.full((*self.shape, *values.shape[1:]), empty, dtype)
-        whole[self.at] = values
-        return whole
-
-
-def _places(lane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return lanes and places of what is in order of lanes."""
-    return lane, np.arange(len(lane)) - np.searchsorted(lane, lane)
 
 
 def _attractor(dims: Sequence[str], numbers: np.ndarray, words: str) -> Entry:

@@ -11,10 +11,12 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, rate_attrs
+from jaxnh.analyses.coordinates import named_points
 from jaxnh.analyses.manifolds.surfaces import ENDS, SurfaceMesh
-from jaxnh.analyses.manifolds.tables import KINDS, SIZES, named_points
+from jaxnh.analyses.manifolds.tables import KINDS, SIZES
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.section_points import statuses
+from jaxnh.analyses.table_arrays import RowPlaces, real_and_imaginary
 from jaxnh.systems.flow import status
 
 LENGTHS = {
@@ -56,8 +58,7 @@ def surface_variables(
     arc, deviation = np.full(points.shape[:-1], np.nan), np.full(points.shape[:-1], np.nan)
     triangles = np.full((*shape, 2 * options.max_points, 3), -1, np.int32)
     end, gaps = np.zeros(shape, np.int8), np.zeros(shape, np.int32)
-    saddles = np.full((*shape[:2], options.period, d), np.nan)
-    saddles[made.lane, made.place] = made.points
+    saddles = RowPlaces(shape[:2], (made.lane, made.place)).put(made.points)
     for k, kind in enumerate(kinds):
         for lane, place, surface in zip(made.lane, made.place, made.grown[kind], strict=True):
             if surface is not None:
@@ -94,7 +95,7 @@ def _rates(options: ManifoldsOptions, batch: LaneBatch, made: Surfaces, dims: tu
         return {"multiplier": variable(dims, multiplier, "multiplier of the cycle along the surface")}
     eigenvalues = np.full((*shape, 2, 2), np.nan)
     for k, of_kind in enumerate(made.rates.values()):
-        eigenvalues[made.lane, made.place, k] = np.stack([np.real(of_kind), np.imag(of_kind)], axis=-1)
+        eigenvalues[made.lane, made.place, k] = real_and_imaginary(of_kind)
     words = "eigenvalues within the manifold, real and imaginary part"
     return {"eigenvalues": variable((*dims, "eigenvalue", "part"), eigenvalues, words, **rate_attrs(batch.flow))}
 

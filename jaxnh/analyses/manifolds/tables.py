@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.coordinates import named_points
 from jaxnh.analyses.manifolds.branches import SIDES, BranchSet
 from jaxnh.analyses.manifolds.crossings import Crossings
 from jaxnh.analyses.manifolds.curves import ENDS
 from jaxnh.analyses.manifolds.saddles import Saddles
 from jaxnh.analyses.manifolds.tangencies import KEPT, Tangencies
 from jaxnh.analyses.options.orbits import ManifoldsOptions
-from jaxnh.analyses.section_points import states_at, statuses
-from jaxnh.maps.section import outputs, plot_plane
+from jaxnh.analyses.section_points import statuses
+from jaxnh.analyses.table_arrays import RowPlaces, ordered_places
 from jaxnh.systems.flow import status
 
 KINDS = ("unstable", "stable")
@@ -98,8 +98,7 @@ def _of_branches(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner,
             if branch is not None:
                 end[at] = branch.end
                 points[at][: len(branch.x)], arc[at][: len(branch.x)] = branch.points, branch.arc
-    orbit = np.full((*shape[:2], options.period, batch.chart.dimension), np.nan)
-    orbit[saddles.lane, saddles.place] = saddles.points
+    orbit = RowPlaces(shape[:2], (saddles.lane, saddles.place)).put(saddles.points)
     dims = LANE, "saddle", "branch"
     return {
         **named_points(batch, lanes, orbit, (LANE, "saddle", "orbit_point"), "_orbit", "of the points of the saddle"),
@@ -122,9 +121,8 @@ def _of_crossings(
     deviation: Float[np.ndarray, " crossings"],
     lane: Int[np.ndarray, " crossings"],
 ) -> dict[str, Entry]:
-    at, dims, shape = _places(lane, options.crossings), (LANE, "crossing"), (batch.count, options.crossings)
-    meetings = crossings.meetings
-    points = _filled((*shape, 2), at, crossings.points)
+    at, dims = ordered_places(lane, (batch.count, options.crossings)), (LANE, "crossing")
+    meetings, points = crossings.meetings, at.put(crossings.points)
     columns = (
         ("crossing_arc", meetings.arc, f"sum of the arc lengths of both branches, {SIZES}", "1"),
         ("crossing_angle", crossings.angle, "angle between the branches, coordinates in halves of the box", "rad"),
@@ -132,8 +130,8 @@ def _of_crossings(
     )
     return {
         **named_points(batch, lanes, points, dims, "_crossings", "of points where manifolds cross, one of each orbit"),
-        **{name: variable(dims, _filled(shape, at, data), words, unit) for name, data, words, unit in columns},
-        **_ends("crossing", dims, shape, at, made.saddles, meetings, options.period),
+        **{name: variable(dims, at.put(data), words, unit) for name, data, words, unit in columns},
+        **_ends("crossing", dims, at, made.saddles, meetings, options.period),
     }
 
 
@@ -144,63 +142,26 @@ def _of_tangencies(
     tangencies: Tangencies,
     lane: Int[np.ndarray, " tangencies"],
 ) -> dict[str, Entry]:
-    at, dims, shape = _places(lane, KEPT), (LANE, "contact"), (batch.count, KEPT)
+    at, dims = ordered_places(lane, (batch.count, KEPT)), (LANE, "contact")
     name = options.tangency
     assert name is not None
     words, unit = batch.flow.labels.long_names[name], {"units": batch.flow.labels.units[name]}
     return {
-        "tangency": variable(
-            dims, _filled(shape, at, tangencies.value), f"{words} of tangencies, nearest first", **unit
-        ),
-        "tangency_error": variable(dims, _filled(shape, at, tangencies.error), "error of the value", **unit),
-        **_ends("tangency", dims, shape, at, made.saddles, tangencies.meetings, options.period),
+        "tangency": variable(dims, at.put(tangencies.value), f"{words} of tangencies, nearest first", **unit),
+        "tangency_error": variable(dims, at.put(tangencies.error), "error of the value", **unit),
+        **_ends("tangency", dims, at, made.saddles, tangencies.meetings, options.period),
     }
 
 
 def _ends(
-    kind: str, dims: tuple[str, ...], shape: tuple[int, ...], at: Any, saddles: Saddles, meetings: Any, period: int
+    kind: str, dims: tuple[str, ...], at: RowPlaces, saddles: Saddles, meetings: Any, period: int
 ) -> dict[str, Entry]:
     """Return the numbers of the saddles that orbits come from and go to."""
     entries = dict[str, Entry]()
     for ending, branches in (("from", meetings.unstable), ("to", meetings.stable)):
-        numbers = np.zeros(shape, np.int32)
-        numbers[at] = saddles.place[branches // (2 * period)] + 1
+        numbers = at.put(saddles.place[branches // (2 * period)] + 1, 0, np.int32)
         words = f"number of the saddle whose {KINDS[ending == 'to']} manifold it is of"
         entries[f"{kind}_{ending}"] = number_variable(dims, numbers, words, ("none",))
-    return entries
-
-
-def _places(lane: Int[np.ndarray, " some"], most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return lanes and places of what is in order of lanes."""
-    return lane, np.arange(len(lane)) - np.searchsorted(lane, lane)
-
-
-def _filled(shape: tuple[int, ...], at: Any, values: np.ndarray) -> np.ndarray:
-    whole = np.full(shape, np.nan)
-    whole[at] = values
-    return whole
-
-
-def named_points(
-    batch: LaneBatch, lanes: LaneRunner, points: np.ndarray, dims: Sequence[str], ending: str, words: str
-) -> dict[str, Entry]:
-    """Return points, (..., d) over the dimensions, as coordinates by name."""
-    flat = points.reshape(-1, points.shape[-1])
-    known = np.isfinite(flat).all(axis=1)
-    names = dict.fromkeys((*plot_plane(batch.system), *batch.flow.coordinates))
-    some = flat[known] if known.any() else np.zeros((1, flat.shape[1]))
-    states = jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], states_at(batch, lanes, some))
-    named = outputs(batch.flow, states, np.zeros(1))
-    entries = dict[str, Entry]()
-    for name in names:
-        if name in named:
-            whole = np.full(len(flat), np.nan)
-            if known.any():
-                whole[known] = np.asarray(named[name].data)[:, 0]
-            long_name = f"{named[name].long_name} {words}"
-            entries[f"{name}{ending}"] = variable(
-                dims, whole.reshape(points.shape[:-1]), long_name, **named[name].attrs
-            )
     return entries
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
@@ -30,10 +30,15 @@ Omission = Annotated[bool | None, AfterValidator(lambda asked: None if asked els
 """Choice of numbers that there are where nothing is said; None for yes, likewise."""
 
 
-class Block(BaseModel):
+class Block(BaseModel, frozen=True):
     """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    def _set_private(self, **values: Any) -> None:
+        """Set private attributes, which a type checker takes to be as frozen as the others."""
+        for name, value in values.items():
+            setattr(self, name, value)
 
 
 class _OptionsType(type(BaseModel)):

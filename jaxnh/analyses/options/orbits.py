@@ -90,16 +90,8 @@ class BranchesOptions(Continuation, SensitivityOptions):
 
     @model_validator(mode="after")
     def _check(self) -> BranchesOptions:
-        asked = "n_starts" if self.n_starts else "equilibria"
-        if bool(self.n_starts or self.equilibria) != bool(self.box):
-            raise rule(
-                *(
-                    ("goes with n_starts, the number of random starts in it", "box")
-                    if self.box
-                    else ("needs a box to draw from", asked)
-                )
-            )
-        check_sides(self.box)
+        asked = "n_starts" if self.n_starts or self.box else "equilibria"
+        check_random_starts(self.box, self.n_starts + self.equilibria, False, asked)
         for name in ("seed", "n_values"):
             if name in self.model_fields_set and not self.box:
                 raise rule("goes with n_starts or equilibria, and there are none", name)

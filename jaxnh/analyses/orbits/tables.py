@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Entry, Table, as_variable, flag, number_variable, range_in_words, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
+from jaxnh.analyses.coordinates import coordinates_at
 from jaxnh.analyses.options.orbits import OrbitsOptions
 from jaxnh.analyses.orbits.entropy import topological_entropy
 from jaxnh.analyses.orbits.measurement import STABILITIES, MeasuredCycles
 from jaxnh.analyses.orbits.missing import missing_orbits
 from jaxnh.analyses.orbits.search import Search
 from jaxnh.analyses.orbits.symmetry import distinct
-from jaxnh.analyses.section_points import states_at
+from jaxnh.analyses.table_arrays import real_and_imaginary
 from jaxnh.analyses.trajectories.states import section_attrs
-from jaxnh.maps.section import outputs, plot_plane
 from jaxnh.systems.flow import NOT_FINITE, status
 
 AVERAGES = "cycle_escape_rate", "cycle_exponent", "cycle_return_time", "motion_exponent", "motion_return_time"
@@ -77,10 +76,8 @@ def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[Lane
         return whole([getattr(row.part.measured[row.n], name) for row in rows], empty)
 
     batch, dims = parts[0].batch, (LANE, "orbit")
-    parts_of = [_real_and_imaginary(row.part.measured[row.n].multipliers) for row in rows]
+    parts_of = [real_and_imaginary(row.part.measured[row.n].multipliers) for row in rows]
     errors = [row.part.measured[row.n].multipliers_error for row in rows]
-    if not rows:
-        parts_of, errors = [np.zeros((0, batch.chart.dimension, 2))] * 0, []
     time, unit = {"units": batch.flow.labels.units["t"]}, iterate_units(batch.system)
     period = whole([np.full(len(row.lane), row.n) for row in rows], 0).astype(np.int32)
     words = "primitive period of the orbit, in returns"
@@ -202,15 +199,11 @@ def _coordinates(lanes: LaneRunner, rows: Sequence[OrbitRow], whole: Any, limit:
     """Return coordinates of the first point of every orbit, and under NAME_points of all of them."""
     columns, said = dict[str, list[np.ndarray]](), dict[str, Any]()
     for row in rows:
-        batch, points = row.part.batch, row.part.measured[row.n].points
-        states = states_at(batch, lanes, points.reshape(-1, points.shape[2]))
-        named = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], states), np.zeros(1))
-        for name in dict.fromkeys((*plot_plane(batch.system), *batch.flow.coordinates)):
-            if name in named:
-                said[name] = named[name]
-                filled = np.full((len(points), limit), np.nan)
-                filled[:, : row.n] = np.asarray(named[name].data)[:, 0].reshape(len(points), row.n)
-                columns.setdefault(name, []).append(filled)
+        points = row.part.measured[row.n].points
+        for name, output in coordinates_at(row.part.batch, lanes, points).items():
+            said[name], filled = output, np.full((len(points), limit), np.nan)
+            filled[:, : row.n] = output.data
+            columns.setdefault(name, []).append(filled)
     variables = dict[str, Entry]()
     for name, values in columns.items():
         words, attrs, every = said[name].long_name, said[name].attrs, whole(values)
@@ -219,10 +212,6 @@ def _coordinates(lanes: LaneRunner, rows: Sequence[OrbitRow], whole: Any, limit:
             (LANE, "orbit", "iterate"), every, f"{words} of the orbit's points", **attrs
         )
     return variables
-
-
-def _real_and_imaginary(values: np.ndarray) -> np.ndarray:
-    return np.stack([np.real(values), np.imag(values)], axis=-1)
 
 
 def counts_table(data: xr.Dataset) -> Table:

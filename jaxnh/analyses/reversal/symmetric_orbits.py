@@ -25,11 +25,12 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from jaxnh.analyses.base import LANE, Entry, OptionError, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
+from jaxnh.analyses.coordinates import named_points
 from jaxnh.analyses.reversal.involution import NONE, choose_reversal, image_of_point, reversal_of
-from jaxnh.analyses.section_points import states_at
+from jaxnh.analyses.table_arrays import padded, real_and_imaginary
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import derivatives
-from jaxnh.maps.section import System, outputs
+from jaxnh.maps.section import System
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.reversal import Reversal, describe_reversal
@@ -323,19 +324,15 @@ def orbit_variables(
     """Return symmetric orbits as variables over (lane, orbit), by number of returns; 0 where a lane has fewer."""
     count, d = max(map(len, orbits), default=0), batch.chart.dimension
     dims = (LANE, "orbit")
-    period = np.zeros((batch.count, count), np.int32)
-    values = np.full((batch.count, count, d, 2), np.nan)
-    residual, pairing, value, error = np.full((4, batch.count, count), np.nan)
-    points = np.full((batch.count, count, d), np.nan)
+
+    def column(name: str) -> np.ndarray:
+        return padded([[getattr(orbit, name) for orbit in of_lane] for of_lane in orbits], (count,))
+
+    period = padded([[len(orbit.points) for orbit in of_lane] for of_lane in orbits], (count,), 0).astype(np.int32)
+    values, points = np.full((batch.count, count, d, 2), np.nan), np.full((batch.count, count, d), np.nan)
     for lane, of_lane in enumerate(orbits):
         for number, orbit in enumerate(of_lane):
-            at = lane, number
-            period[at], residual[at], pairing[at] = len(orbit.points), orbit.residual, orbit.pairing
-            value[at], error[at] = orbit.value, orbit.value_error
-            values[at], points[at] = (
-                np.stack([np.real(orbit.multipliers), np.imag(orbit.multipliers)], axis=1),
-                orbit.points[0],
-            )
+            values[lane, number], points[lane, number] = real_and_imaginary(orbit.multipliers), orbit.points[0]
     variables = {
         "orbit_period": number_variable(
             dims, period, "period of the symmetric orbit", ("none",), counted_in=iterate_units(batch.system)
@@ -343,22 +340,16 @@ def orbit_variables(
         "orbit_multipliers": variable(
             (*dims, "multiplier", "part"), values, "Floquet multipliers of the orbit, real and imaginary part"
         ),
-        "orbit_pairing": variable(dims, pairing, "largest violation of the pairs of multipliers, |μ μ' - 1|"),
-        "orbit_residual": variable(dims, residual, "largest component of P^n(u) - u, in sizes of the motion"),
+        "orbit_pairing": variable(dims, column("pairing"), "largest violation of the pairs of multipliers, |μ μ' - 1|"),
+        "orbit_residual": variable(dims, column("residual"), "largest component of P^n(u) - u, in sizes of the motion"),
     }
     if name := symmetry.parameter:
         axis = batch.first_axis
         words = f"{axis.long_name} at which the orbit exists"
-        variables[f"orbit_{name}"] = variable(dims, value, words, axis.units)
+        variables[f"orbit_{name}"] = variable(dims, column("value"), words, axis.units)
+        error = column("value_error")
         variables[f"orbit_{name}_error"] = variable(dims, error, f"error of {axis.long_name} there", axis.units)
     if count:
-        states = states_at(batch, lanes, points.reshape(-1, d))
-        instant = np.array([0.5 * float(symmetry.reversal.instant)])
-        named = outputs(batch.flow, jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], states), instant)
-        for name in (name for name in batch.flow.coordinates if name in named):
-            words, data = (
-                f"{named[name].long_name} of the orbit's first point",
-                np.reshape(named[name].data, period.shape),
-            )
-            variables[f"{name}_points"] = variable(dims, data, words, **named[name].attrs)
+        words, instant = "of the orbit's first point", 0.5 * float(symmetry.reversal.instant)
+        variables |= named_points(batch, lanes, points, dims, "_points", words, instant)
     return variables

@@ -15,6 +15,7 @@ from jaxnh.analyses.batch import Axis, LaneBatch, iterate_units
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.location import LocatedDoubling
 from jaxnh.analyses.periodic.sensitivity_tables import sensitivity_cells, sensitivity_heads
+from jaxnh.analyses.table_arrays import padded, real_and_imaginary
 from jaxnh.analyses.windows.search import DOUBLED, ENDS, End, Window, all_lanes
 
 OWN_NAMES = (
@@ -55,10 +56,8 @@ def dataset(
 ) -> xr.Dataset:
     """Return the variables over (window,), and the doublings over (window, level)."""
     axis, unit = batch.first_axis, iterate_units(batch.system)
-    value, error = np.full((2, len(groups), levels), np.nan)
-    for k, located in enumerate(doublings):
-        value[k, : len(located)] = [doubling.point.value for doubling in located]
-        error[k, : len(located)] = [doubling.error for doubling in located]
+    value = padded([[doubling.point.value for doubling in located] for located in doublings], (levels,))
+    error = padded([[doubling.error for doubling in located] for located in doublings], (levels,))
     lanes = [all_lanes(group) for group in groups]
     count = [len(numbers) for numbers in lanes]
     first, last = (np.array([line.value[numbers[end]] for numbers in lanes], float) for end in (0, -1))
@@ -95,9 +94,7 @@ def dataset(
 
 def _end_variables(name: str, words: str, axis: Axis, ends: Sequence[End], batch: LaneBatch) -> dict[str, Entry]:
     """Return the place of one end of all windows, its error, its kind and the multipliers there."""
-    multipliers = np.full((len(ends), batch.chart.dimension, 2), np.nan)
-    for k, end in enumerate(ends):
-        multipliers[k] = np.stack([np.real(end.multipliers), np.imag(end.multipliers)], axis=-1)
+    multipliers = padded([real_and_imaginary(end.multipliers) for end in ends], (batch.chart.dimension, 2))
     return {
         **_place_variables(name, f"where orbits of the period {words}", axis, ends),
         f"{name}_kind": flag("window", [end.kind for end in ends], f"what is where they {words}", ENDS),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated
 import typer
 
 from jaxnh.cli.exit_codes import run_app
+from jaxnh.cli.slow_files import report_user_line
 from jaxnh.exceptions import InputError
 
 _NEEDED = ("panel", "bokeh")
@@ -53,16 +55,20 @@ def explore(
 
     content = None if config.suffix == ".h5" else read_config(config, overrides)
     # From here on pages of Panel, and of a config JAX: seconds of imports.
-    from jaxnh.explorer.opening import open_file, open_texts
+    from jaxnh.explorer.opening import PageContent, open_file, open_texts
     from jaxnh.explorer.serve import make_server, run
     from jaxnh.explorer.worker import Watch, Worker
 
     worker = Worker()
     watch = Watch(worker)
-    opened = open_file(config, content, overrides or (), over or (), watch, columns)
-    server, page = make_server(
-        opened, worker.start(), address, port, lambda texts: open_texts(opened, texts, watch, columns)
-    )
+    with report_user_line(str(config)):
+        opened = open_file(config, content, overrides or (), over or (), watch, columns)
+
+    def reopen(texts: dict[Path, str]) -> Iterator[PageContent | None]:
+        with report_user_line(str(config)):
+            yield from open_texts(opened, texts, watch, columns)
+
+    server, page = make_server(opened, worker.start(), address, port, reopen)
     print(f"explore: {page} shows {config}; Control-C stops it", flush=True)
     run(server, worker)
 

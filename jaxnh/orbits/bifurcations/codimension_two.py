@@ -48,8 +48,8 @@ POINTS = (
 CUSP, GENERALISED_DOUBLING, CHENCINER, FOLD_FLIP, ONE_ONE, ONE_TWO, ONE_THREE, ONE_FOUR, *_ = range(len(POINTS))
 BOGDANOV_TAKENS, GENERALISED_HOPF, ZERO_HOPF, DOUBLE_HOPF = range(ONE_FOUR + 1, len(POINTS))
 
-_SECANTS = 40
-_KNOWN = 1e-12  # of the chord: a zero is known to rounding
+_SECANTS = 60
+_KNOWN = 1e-13  # of the chord, or of the larger of both values: a zero is known to rounding
 _POLE = 0.2  # of the smaller of both values of a test function: what is no smaller at its zero is a pole
 _COSINES = {ONE_ONE: 1.0, ONE_TWO: -1.0, ONE_THREE: -0.5, ONE_FOUR: 0.0}
 
@@ -176,28 +176,30 @@ def _locate(
     """The point of a curve between two of its own where a test function is zero; None where it is infinite."""
     track = curve.track.take(slice(place, place + 2))
 
-    def at(s: float) -> Solution:
-        return correct(plane, curve.kind, *across_chord(track.z, track.way, np.array([s])))
+    def at(share: float) -> tuple[Solution, float]:
+        solution = correct(plane, curve.kind, *across_chord(track.z, track.way, np.array([share])))
+        return solution, float(test(solution)[0]) if solution.converged[0] else np.nan
 
+    share = false_position(lambda share: at(share)[1], ends)
+    if share is None:
+        return None
+    solution, value = at(share)
+    return solution if abs(value) <= _POLE * min(map(abs, ends)) else None
+
+
+def false_position(value: Callable[[float], float], ends: tuple[float, float]) -> float | None:
+    """The share between 0 and 1 where a function is zero, with the Illinois rule; None where it has no value."""
     (low, high), (below, above) = (0.0, 1.0), ends
-    value, before = ends[0], 0
-    solution: Solution | None = None
     for _ in range(_SECANTS):
-        s = (low * above - high * below) / (above - below)
-        solution = at(s)
-        if not solution.converged[0]:
+        share = (low * above - high * below) / (above - below)
+        test = value(share)
+        if not np.isfinite(test):
             return None
-        value = float(test(solution)[0])
-        if not np.isfinite(value):
-            return None
-        side = 1 if (value > 0.0) == (above > 0.0) else -1
-        if side > 0:
-            high, above = s, value
-            below = below / 2.0 if before == side else below
+        if abs(share - high) <= _KNOWN or abs(test) <= _KNOWN * max(map(abs, ends)):
+            return share
+        if test * above < 0.0:
+            low, below = high, above
         else:
-            low, below = s, value
-            above = above / 2.0 if before == side else above
-        before = side
-        if value == 0.0 or high - low < _KNOWN or abs(value) < _KNOWN * max(abs(e) for e in ends):
-            break
-    return solution if abs(value) <= _POLE * min(abs(e) for e in ends) else None
+            below *= 0.5
+        high, above = share, test
+    return high

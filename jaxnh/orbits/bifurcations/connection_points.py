@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
 
+from jaxnh.orbits.bifurcations.codimension_two import false_position
 from jaxnh.orbits.collocation.adjoint import adjoint_solution
 from jaxnh.orbits.collocation.connection_meshes import Connection, refined
 from jaxnh.orbits.collocation.connections import ConnectionCurve, Stretch
@@ -40,9 +40,7 @@ TYPES = ("saddle", "saddle_focus", "bi_focus")
 _SADDLE, _DOUBLE, _DIVERGENCE, _ORBIT, _INCLINATION = range(5)
 _TESTS = ((_SADDLE, 0), *((kind, side) for kind in (_DOUBLE, _DIVERGENCE, _ORBIT, _INCLINATION) for side in (0, 1)))
 _NOISE = 1e-6  # of test functions of orbits in sizes: 1e-13 at their ends, where they are 1e-5 from the saddle
-_SECANTS = 60
-_KNOWN = 1e-13  # of the way between two points
-_DIFFERENCE = 1e-4  # likewise, for slopes
+_DIFFERENCE = 1e-4  # of the way between two points, for slopes
 _SECOND_ORDER = 0.1  # of what refinement changes
 _ROUNDINGS = 16 * np.finfo(float).eps
 _JUMP = 0.2  # of the smaller of both values of a test function: what is no smaller at its zero is a jump
@@ -214,7 +212,7 @@ def _locate(
         point = stretch.between(k, share)
         return (np.nan if point is None else _test(test, _orbit(problem, point), reference)), point
 
-    share = _false_position(lambda s: at(s)[0], ends)
+    share = false_position(lambda s: at(s)[0], ends)
     value, point = at(share) if share is not None else (np.nan, None)
     if share is None or point is None or not np.isfinite(value):
         return None
@@ -260,21 +258,3 @@ def _rounding(test: tuple[int, int], orbit: _Orbit) -> float:
         return _ROUNDINGS * _growth(orbit, side)
     largest = float(np.abs(orbit.point.departure.jacobian).max())
     return _ROUNDINGS * (largest**2 if kind == _DOUBLE else largest)
-
-
-def _false_position(value: Callable[[float], float], ends: tuple[float, float]) -> float | None:
-    """The share between 0 and 1 where a function is zero, with the Illinois rule; None where it has no value."""
-    (low, high), (below, above) = (0.0, 1.0), ends
-    for _ in range(_SECANTS):
-        share = (low * above - high * below) / (above - below)
-        test = value(share)
-        if not np.isfinite(test):
-            return None
-        if test == 0.0 or abs(share - high) <= _KNOWN:
-            return share
-        if test * above < 0.0:
-            low, below = high, above
-        else:
-            below *= 0.5
-        high, above = share, test
-    return high

@@ -44,7 +44,7 @@ Shares have intervals of 95 % (Wilson), as those of random starts would.
 """
 
 
-class Sample(NamedTuple):
+class BasinRun(NamedTuple):
     """One run: seconds of the process, and the share of starts that lead to each kind."""
 
     seconds: float
@@ -63,7 +63,7 @@ def main() -> None:
     axes = jaxnh.load(CONFIG).axes
     across, up = args.starts or (len(axis.values) for axis in axes)
     grid = [f"sweep.{axis.name}.count={count}" for axis, count in zip(axes, (across, up), strict=True)]
-    measured: dict[str, list[Sample]] = {}
+    measured: dict[str, list[BasinRun]] = {}
     with tempfile.TemporaryDirectory(prefix="jaxnh_basins_") as name:
         for repeat in range(args.repeats):
             folder = Path(name, str(repeat))
@@ -92,7 +92,7 @@ def _without_folders(arguments: Sequence[str]) -> list[str]:
     return [Path(one).name if "/" in one else one for one in arguments]
 
 
-def _ours(folder: Path, grid: Sequence[str]) -> Sample:
+def _ours(folder: Path, grid: Sequence[str]) -> BasinRun:
     """One run of the command from a grid of starts, its programs kept in the folder."""
     result = folder / "result.h5"
     command = [sys.executable, "-m", "jaxnh.sweep", str(CONFIG), *grid]
@@ -101,13 +101,13 @@ def _ours(folder: Path, grid: Sequence[str]) -> Sample:
     attractors = jaxnh.open_result(result)["attractors"].to_dataset()
     kinds = [KINDS[int(kind)] for kind in attractors["kind"].to_numpy()]
     found = dict(zip(kinds, attractors["fraction"].to_numpy().tolist(), strict=True))
-    return Sample(seconds, {kind: found[_KIND[kind]] for kind in _KIND})
+    return BasinRun(seconds, {kind: found[_KIND[kind]] for kind in _KIND})
 
 
-def _theirs(python: str, across: int, up: int) -> Sample:
+def _theirs(python: str, across: int, up: int) -> BasinRun:
     worker = Path(__file__).with_name("peers_basins_pybasin.py")
     seconds, printed = _run([python, "-P", str(worker), str(across), str(up)], {"JAX_ENABLE_X64": "1"})
-    return Sample(seconds, json.loads(printed.splitlines()[-1])["shares"])
+    return BasinRun(seconds, json.loads(printed.splitlines()[-1])["shares"])
 
 
 def _run(command: Sequence[str], environment: Mapping[str, str]) -> tuple[float, str]:
@@ -123,7 +123,7 @@ def _run(command: Sequence[str], environment: Mapping[str, str]) -> tuple[float,
     return time.perf_counter() - began, done.stdout
 
 
-def _table(measured: Mapping[str, Sequence[Sample]], starts: int) -> Iterator[str]:
+def _table(measured: Mapping[str, Sequence[BasinRun]], starts: int) -> Iterator[str]:
     """Lines of the page, a row a peer."""
     ours = statistics.median(sample.seconds for sample in measured["jaxnh, kept cache"])
     yield "| | seconds | over jaxnh with programs kept | rest | rotation |"

@@ -52,7 +52,7 @@ class Spread(FeatureExtractor):
         return torch.stack([still, ~still], dim=1).to(torch.float64)
 
 
-class Grid(Sampler):
+class GridSampler(Sampler):
     """The points of the study, in its order."""
 
     def __init__(self, across: int, up: int) -> None:
@@ -70,7 +70,7 @@ def main() -> None:
     estimator = BasinStabilityEstimator(
         n=across * up,
         ode_system=Pendulum(PARAMETERS),
-        sampler=Grid(across, up),
+        sampler=GridSampler(across, up),
         solver=JaxSolver(t_span=(0, 1000), t_steps=1000, device="cpu", rtol=1e-8, atol=1e-6, cache_dir=None),
         feature_extractor=Spread(time_steady=950.0),
         predictor=KNeighborsClassifier(n_neighbors=1),

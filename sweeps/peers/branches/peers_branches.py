@@ -43,7 +43,7 @@ were not computed here. In brackets: how far from heyoka's value.
 """
 
 
-class Case(NamedTuple):
+class BranchCase(NamedTuple):
     """A flow of `configs/flows`, and what is known of its bifurcations of cycles.
 
     Attributes:
@@ -60,7 +60,7 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case(
+    BranchCase(
         "circuit",
         "nu",
         (2, 0.02, 1),
@@ -70,7 +70,7 @@ CASES = (
             {"fold": -0.584492842421877, "neimark_sacker": -0.595750403989607, "period_doubling": -0.61468165370709},
         ),
     ),
-    Case(
+    BranchCase(
         "peroxidase",
         "k8",
         (0, 5.9, -1),
@@ -133,7 +133,7 @@ def main() -> None:
     print(page)
 
 
-def _ours(case: Case, limit: float) -> tuple[dict[str, Run], list[Exact]]:
+def _ours(case: BranchCase, limit: float) -> tuple[dict[str, Run], list[Exact]]:
     """Runs of the command with an empty and a kept cache, and its points by heyoka."""
     runs, config = dict[str, Run](), ROOT / "configs" / "flows" / f"{case.name}.yaml"
     with tempfile.TemporaryDirectory(prefix="jaxnh_branches_") as folder:
@@ -162,7 +162,7 @@ def _again_in_a_session(config: Path) -> float:
     return seconds
 
 
-def _by_heyoka(case: Case, found: Sequence[tuple[str, float, list[float]]]) -> list[Exact]:
+def _by_heyoka(case: BranchCase, found: Sequence[tuple[str, float, list[float]]]) -> list[Exact]:
     """Bifurcations of cycles, by the reference of the tests: its code and equations share nothing with the package."""
     from tests.flows import cycles
     from tests.helpers import heyoka_newton
@@ -203,7 +203,7 @@ def _process(command: Sequence[str], environment: Mapping[str, str], limit: floa
     return time.perf_counter() - began, done.stdout
 
 
-def _part(case: Case, exact: Sequence[Exact], runs: Mapping[str, Run]) -> Iterator[str]:
+def _part(case: BranchCase, exact: Sequence[Exact], runs: Mapping[str, Run]) -> Iterator[str]:
     """Lines of one flow: a row a program, a column a bifurcation of cycles; the others that it found are counted."""
     width = abs(max(point.value for point in exact) - min(point.value for point in exact))
     yield f"## {case.name} (`configs/flows/{case.name}.yaml`), over {case.axis}"

@@ -24,7 +24,7 @@ _PERIODS = 512
 _FIRST_FIELDS, _MOST_STEPS = 800.0, 20_000.0
 
 
-class Placed(NamedTuple):
+class PlacedFlow(NamedTuple):
     """A flow of jaxnh, and where the components of its case are among its section coordinates.
 
     Attributes:
@@ -65,16 +65,16 @@ def _double_pendulum(ratio: float = 1.0) -> Mapping[str, Any]:
     return {"T": T, "Q": Q, "coordinates": ("upper", "lower")}
 
 
-def placed(case: FlowCase) -> Placed:
+def placed(case: FlowCase) -> PlacedFlow:
     """A case as jaxnh has it; lanes have its parameter of their own."""
     if case.name == "governor":
         flow = lagrangian(_governor, {"drive": case.low}, ("drive",))
-        return Placed(flow, lambda y: jnp.stack([y[0], y[2], y[1], 0.5 * (y[1] ** 2 - 0.5)]), (0, 2, 1))
+        return PlacedFlow(flow, lambda y: jnp.stack([y[0], y[2], y[1], 0.5 * (y[1] ** 2 - 0.5)]), (0, 2, 1))
     if case.name == "double_pendulum":
         flow = lagrangian(_double_pendulum, {"ratio": case.low}, ("ratio",))
     else:
         flow = first_order(_definition(case), {case.parameter: case.low}, (case.parameter,))
-    return Placed(flow, lambda y: y, tuple(range(len(case.start))))
+    return PlacedFlow(flow, lambda y: y, tuple(range(len(case.start))))
 
 
 def _definition(case: FlowCase) -> Callable[..., Mapping[str, Any]]:

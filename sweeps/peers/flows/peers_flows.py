@@ -28,7 +28,7 @@ from rich.console import Console
 
 from sweeps.checks.measured_at import stamp
 from sweeps.peers.flows.peers_flow_cases import CASES, LANES, FlowCase, FlowScene
-from sweeps.peers.flows.peers_flows_report import OTHERS, FlowStudy, Measured, markdown, show
+from sweeps.peers.flows.peers_flows_report import OTHERS, FlowRows, FlowStudy, markdown, show
 from sweeps.peers.particle.peers_report import AT_OWN_ERROR, Row, write
 from sweeps.peers.particle.peers_scene import WHOLE, Setting, best
 from sweeps.peers.particle.peers_timing import Entry, entry, line, row, timed
@@ -54,7 +54,7 @@ def main() -> None:
         console.log(f"{case.name}: true ends and derivatives of {len(scene.b)} lanes")
         maps = _rows(MAPS, scene, core, args, console) if args.part != "spectra" else []
         spectra = _rows(SPECTRA, scene, core, args, console) if args.part != "maps" else []
-        flows.append(Measured(case, maps, spectra))
+        flows.append(FlowRows(case, maps, spectra))
     command = shlex.join(["python", "-m", "sweeps.peers.flows.peers_flows", *sys.argv[1:]])
     study = FlowStudy(command, measured_at, args.repeats, args.lanes, flows, time.perf_counter() - began)
     show(study, console)

@@ -60,7 +60,7 @@ _ROW_COLUMNS = (
 )
 
 
-class Measured(NamedTuple):
+class FlowRows(NamedTuple):
     """A flow with its rows at all targets: of its map, and of its spectrum."""
 
     case: FlowCase
@@ -85,7 +85,7 @@ class FlowStudy:
     measured_at: str
     repeats: int
     lanes: int
-    flows: Sequence[Measured]
+    flows: Sequence[FlowRows]
     seconds: float
 
 

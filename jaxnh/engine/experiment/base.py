@@ -1,4 +1,4 @@
-"""An experiment: a config with its flow, its start states and its axes.
+"""What experiments of all systems share: how they are made, their flow, start states and axes, and their hash.
 
 Keys of a config, and all checks that need no JAX, are in `config`.
 """
@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import jax
 import numpy as np
@@ -23,26 +23,20 @@ from jaxnh.analyses.base import Analysis, Setting
 from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.registry import ANALYSES
-from jaxnh.config.config import Config, UserConfig, config_of, load_config
+from jaxnh.config.blocks import SectionBlock
+from jaxnh.config.config import Config, config_of, load_config
 from jaxnh.config.messages import fault_of_rule
-from jaxnh.config.particle import PoincareSection
-from jaxnh.config.user_system import UserSection
 from jaxnh.config.values import grid_of, without_values
 from jaxnh.config.yaml_source import from_dict, from_text
-from jaxnh.engine.clocks import decides_clock, scales_time
-from jaxnh.engine.fitting import check_analyses, check_events, check_levels
-from jaxnh.engine.flows import particle_flow, section_of
-from jaxnh.engine.start_states import admit_starts, check_starts
+from jaxnh.engine.fitting import check_analyses, check_levels
 from jaxnh.exceptions import InputError
-from jaxnh.maps.section import System, begin
+from jaxnh.maps.section import Section, System, begin
 from jaxnh.systems.flow import Flow
-from jaxnh.systems.lagrangian import Lagrangian
-from jaxnh.systems.level import on_level
 from jaxnh.systems.state import State
-from jaxnh.systems.user_file import UserFile, UserFlow
+from jaxnh.systems.user_file import UserFile
 
 
-class Experiment(Config):
+class Experiment(Config, frozen=True):
     """A validated config; made by `load`, `Experiment.from_dict` or `Experiment.from_text`."""
 
     _filler: str = PrivateAttr(default="")
@@ -64,21 +58,20 @@ class Experiment(Config):
         Raises:
             ConfigError: as of `load`.
         """
-        if isinstance(config, UserConfig):
-            user_file = user_file or UserFile(config._path, config._user_text)
-            if user_file.names != config._names:  # its text alone says less, or other than it does
-                config = config_of(config._source, user_text=config._user_text, names=user_file.names)
-        kind = UserExperiment if user_file else Experiment
-        made = kind.model_construct(config.model_fields_set, **dict(config))
-        for name in config.__private_attributes__:
-            setattr(made, name, getattr(config, name))
-        if isinstance(made, UserExperiment) and user_file:
-            made._file = user_file
+        kind = next(kind for kind in Experiment.__subclasses__() if issubclass(kind, type(config)))
+        made = kind._copied(config, user_file)
         try:
             with jax.enable_x64(True):  # a script may load a config before it has started a session
                 made._try_out()
         except PydanticCustomError as broken:
             raise fault_of_rule(broken, config._source) from None
+        return made
+
+    @classmethod
+    def _copied(cls, config: Config, user_file: UserFile | None) -> Self:
+        """A config as an experiment of this kind, whose flow has not been tried out."""
+        made = cls.model_construct(config.model_fields_set, **dict(config))
+        made._set_private(**{name: getattr(config, name) for name in config.__private_attributes__})
         return made
 
     def _try_out(self) -> None:
@@ -155,7 +148,7 @@ class Experiment(Config):
             for name, options in analyses.items()
         }
         made = self.from_content(content, self.user_file)
-        made._filler = filler
+        made._set_private(_filler=filler)
         return made
 
     def on(self, section: Mapping[str, Any]) -> Experiment:
@@ -166,7 +159,7 @@ class Experiment(Config):
         """
         content = {**self._data(), "section": {key: value for key, value in section.items() if value is not None}}
         made = self.from_content(content, self.user_file)
-        made._filler = self._filler
+        made._set_private(_filler=self._filler)
         return made
 
     @property
@@ -180,13 +173,25 @@ class Experiment(Config):
 
     # ---- what is run
 
-    def _default_section(self) -> PoincareSection | UserSection:
-        """The default section of a flow without a clock."""
-        return PoincareSection()
+    # Each kind of experiment has these.
 
     def _flow(self, parameters: Mapping[str, float]) -> Flow:
         """The system in continuous time, with these parameters in place of its own."""
-        return particle_flow(self.system, parameters)
+        raise NotImplementedError
+
+    @property
+    def _section(self) -> SectionBlock:
+        """The section that is given, or the default one of a flow without a clock."""
+        raise NotImplementedError
+
+    def _on_section(self, flow: Flow) -> Section:
+        """That section of a flow."""
+        raise NotImplementedError
+
+    @property
+    def _of_starts(self) -> tuple[str, ...]:
+        """Names of all that start states have, and no parameters."""
+        raise NotImplementedError
 
     def flow(self, shared: Mapping[str, float] | None = None) -> Flow:
         """The system in continuous time.
@@ -204,14 +209,7 @@ class Experiment(Config):
             shared: as of `flow`.
         """
         flow = self.flow(shared)
-        if not self.sectioned:
-            return flow
-        return section_of(self.section or self._default_section(), self._positions, flow)
-
-    @property
-    def _positions(self) -> tuple[str, ...]:
-        """Coordinates that a section may be of, in the order of the flow's positions."""
-        return "x1", "y1"
+        return self._on_section(flow) if self.sectioned else flow
 
     def start(
         self,
@@ -236,18 +234,13 @@ class Experiment(Config):
     def _admit_starts(
         self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]], given: Mapping[str, Any]
     ) -> State:
-        """Start states, those off the constraints failed or moved; here coordinates satisfy them by construction."""
+        """Start states, those off the constraints failed or moved; a particle's are on them by construction."""
         return start
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Coordinates of the start state that lanes may have of their own."""
         return tuple(self.system.start(self.initial))
-
-    @property
-    def _of_starts(self) -> tuple[str, ...]:
-        """Names of all that start states have, and no parameters."""
-        return tuple(self.initial.coordinates())
 
     @property
     def axes(self) -> tuple[Axis, ...]:
@@ -303,86 +296,13 @@ class Experiment(Config):
         if len(names := tuple(self.sweep.grids)) > 1:
             content["sweep"] = [[name, content["sweep"][name]] for name in names]
         if self.sectioned:
-            content["section"] = (self.section or self._default_section()).model_dump(mode="json", exclude_none=True)
+            content["section"] = self._section.model_dump(mode="json", exclude_none=True)
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
     def _content(self) -> dict[str, Any]:
         """Everything that decides the numbers, defaults written out."""
         return self.model_dump(mode="json", exclude={"title", "compare", "explore"}, exclude_none=True)
-
-
-class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompatibleVariableOverride]
-    """An experiment of a user's system."""
-
-    _file: UserFile = PrivateAttr()
-
-    def _try_out(self) -> None:
-        check_starts(self.flow(), self.initial, self.sweep, self._file.integrals)
-        if self._file.discrete:
-            self.check_map()
-        self.check_clock(not self.autonomous)
-        check_events(self.flow().flow, self.accuracy.solver, self.precision)
-        super()._try_out()
-
-    def _flow(self, parameters: Mapping[str, float]) -> UserFlow:
-        given = {**(self.initial.level or {}), **parameters}
-        levels = {name: given[name] for name in self._levels if name in given}
-        swept = {name: value for name, value in parameters.items() if name not in levels}
-        flow = self._file.flow({**self._own_parameters(), **swept}, tuple(swept), in_periods=self._in_periods)
-        return on_level(flow, levels, parameters)
-
-    @functools.cached_property
-    def _levels(self) -> tuple[str, ...]:
-        """Integrals on whose levels motions are kept; where constraints come and go starts alone are put there."""
-        return self._file.integrals if isinstance(self._file.flow(self._own_parameters()), Lagrangian) else ()
-
-    @functools.cached_property
-    def _in_periods(self) -> bool:
-        """Tell whether time is over the period: an axis decides the period, and no result has a time."""
-        untimed = all(options.untimed for options in self.analyses.options().values())
-        swept = {name: grid.grid() for name, grid in self.sweep.grids.items() if name not in self._of_starts}
-        return untimed and scales_time(self._file, self._own_parameters(), swept)
-
-    @property
-    def _positions(self) -> tuple[str, ...]:
-        return self._file.coordinates
-
-    def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
-        """Return whether the strobe period depends on a parameter, and time is not over the period."""
-        known = self._in_periods or name in self._levels
-        return not known and decides_clock(self._file, flow, name, values)
-
-    def _admit_starts(
-        self, flow: Flow, start: State, own: Mapping[str, Float[np.ndarray, " count"]], given: Mapping[str, Any]
-    ) -> State:
-        every = {**given, **own}
-        levels = {name: every[name] for name in self._file.integrals if name in every}
-        return admit_starts(flow, start, own, levels, project=self.initial.project)
-
-    @property
-    def _of_starts(self) -> tuple[str, ...]:
-        return (*self.initial.known, *(name for name in self._file.integrals if name not in self._levels))
-
-    def _default_section(self) -> UserSection:
-        return UserSection.model_validate({"coordinate": self._file.coordinates[0]}, context=self._file.names)
-
-    @property
-    def user_file(self) -> UserFile:
-        """The user's file that the system is from."""
-        return self._file
-
-    def _own_parameters(self) -> dict[str, float]:
-        """All parameters, with the file's defaults where the config says nothing."""
-        return {**self._file.parameters, **self.system.parameters}
-
-    def _content(self) -> dict[str, Any]:
-        system = {**self._own_parameters(), "file": self._file.sha256}
-        initial = {**self.initial.coordinates(), **({"project": True} if self.initial.project else {})}
-        return {**super()._content(), "system": system, "initial": initial}
-
-    def _parameters(self) -> dict[str, Any]:
-        return {"file": self.system.file, **self._own_parameters(), **self.initial.coordinates()}
 
 
 def _plain_options(options: Options | Mapping[str, Any]) -> dict[str, Any]:
