@@ -264,12 +264,12 @@ class Experiment(Config):
                 kind = "start"
             elif self._is_shared(name, values, flow):
                 kind = "shared"
-            axes.append(Axis(name, values, flow.labels.long_names[name], kind, flow.labels.units[name]))
+            axes.append(Axis(name, values, flow.readout.labels.long_names[name], kind, flow.readout.labels.units[name]))
         return tuple(axes)
 
     def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Return whether all lanes of a program must have the same of these values of a parameter."""
-        return flow.is_shared(name)
+        return flow.roles.is_shared(name)
 
     @property
     def autonomous(self) -> bool:
@@ -322,7 +322,7 @@ class UserExperiment(UserConfig, Experiment):  # pyright: ignore[reportIncompati
         if self._file.discrete:
             self.check_map()
         self.check_clock(not self.autonomous)
-        check_events(self.flow().flow, self.accuracy.solver, self.precision)
+        check_events(self.flow(), self.accuracy.solver, self.precision)
         super()._try_out()
 
     def _flow(self, parameters: Mapping[str, float]) -> UserFlow:

@@ -329,8 +329,8 @@ def test_a_flow_is_made_once_for_equal_numbers(tmp_path):
     first = file.flow({"a": 0.0, "b": 2.0})
     assert file.flow({"a": 0.0, "b": 2.0}) is first
     assert np.signbit(file.flow({"a": -0.0, "b": 2.0}).parameters["a"])
-    assert file.flow({"a": 0.0, "b": 2.0}, ("b",)).lane_parameters == ("b",)
-    assert file.flow({"a": 0.0, "b": 2.0}).lane_parameters == ()
+    assert file.flow({"a": 0.0, "b": 2.0}, ("b",)).roles.of_lanes == ("b",)
+    assert file.flow({"a": 0.0, "b": 2.0}).roles.of_lanes == ()
     for a in range(300):
         assert file.flow({"a": float(a), "b": 2.0}).parameters["a"] == a
     assert len(file._flows) <= 256

@@ -29,7 +29,7 @@ from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.kinds import KINDS, STABILITIES, stability
 from jaxnh.orbits.continuation.paths import ENDS
-from jaxnh.systems.flow import Output
+from jaxnh.systems.readout import Output
 
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
@@ -134,7 +134,7 @@ def _durations(
     whole = np.full(like.shape, np.nan)
     for place, duration in zip(places, timed, strict=True):
         whole[place, : len(duration)] = duration
-    return variable(dims, whole, "time that the cycle takes", batch.flow.labels.units["t"])
+    return variable(dims, whole, "time that the cycle takes", batch.flow.readout.labels.units["t"])
 
 
 def _period(part: FollowedBranches, points: int) -> int:

@@ -15,7 +15,7 @@ from jaxnh.analyses.manifolds.surfaces import ENDS, SurfaceMesh
 from jaxnh.analyses.manifolds.tables import KINDS, SIZES, named_points
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.section_points import statuses
-from jaxnh.systems.flow import status
+from jaxnh.systems.readout import status
 
 LENGTHS = {
     "equilibria": "arc length of the motion from the saddle",

@@ -20,7 +20,7 @@ from jaxnh.analyses.manifolds.tangencies import KEPT, Tangencies
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.section_points import states_at, statuses
 from jaxnh.maps.section import outputs, plot_plane
-from jaxnh.systems.flow import status
+from jaxnh.systems.readout import status
 
 KINDS = ("unstable", "stable")
 """Meanings of the flags 0 and 1 of `branch_kind`."""
@@ -147,7 +147,7 @@ def _of_tangencies(
     at, dims, shape = _places(lane, KEPT), (LANE, "contact"), (batch.count, KEPT)
     name = options.tangency
     assert name is not None
-    words, unit = batch.flow.labels.long_names[name], {"units": batch.flow.labels.units[name]}
+    words, unit = batch.flow.readout.labels.long_names[name], {"units": batch.flow.readout.labels.units[name]}
     return {
         "tangency": variable(
             dims, _filled(shape, at, tangencies.value), f"{words} of tangencies, nearest first", **unit

@@ -21,7 +21,8 @@ from jaxnh.analyses.orbits.symmetry import distinct
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.maps.section import outputs, plot_plane
-from jaxnh.systems.flow import NOT_FINITE, status
+from jaxnh.systems.readout import status
+from jaxnh.systems.status import NOT_FINITE
 
 AVERAGES = "cycle_escape_rate", "cycle_exponent", "cycle_return_time", "motion_exponent", "motion_return_time"
 """Names of averages: three by cycle expansion, and two in time."""
@@ -81,7 +82,7 @@ def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[Lane
     errors = [row.part.measured[row.n].multipliers_error for row in rows]
     if not rows:
         parts_of, errors = [np.zeros((0, batch.chart.dimension, 2))] * 0, []
-    time, unit = {"units": batch.flow.labels.units["t"]}, iterate_units(batch.system)
+    time, unit = {"units": batch.flow.readout.labels.units["t"]}, iterate_units(batch.system)
     period = whole([np.full(len(row.lane), row.n) for row in rows], 0).astype(np.int32)
     words = "primitive period of the orbit, in returns"
     d = batch.chart.dimension

@@ -153,7 +153,7 @@ def _dataset(
     options: ToriOptions, batch: LaneBatch, lanes: LaneRunner, motions: TurningMotions, solutions: Solutions
 ) -> xr.Dataset:
     count, d = batch.count, batch.chart.dimension
-    k = batch.flow.exponents - int(batch.flow.autonomous and batch.flow is not batch.system)
+    k = batch.flow.exponents - int(batch.flow.autonomous and batch.on_section)
     value, error, residual, decay = (np.full(count, np.nan) for _ in range(4))
     growth, growth_error = (np.full((count, k - 1), np.nan) for _ in range(2))
     harmonics, curve_points = np.zeros(count, np.int32), np.full((count, options.points, d), np.nan)
