@@ -1181,7 +1181,7 @@ def test_every_analysis(kind, analysis):
             groups_of(kind, analysis)
         return
     groups = groups_of(kind, analysis)
-    units = session(kind).experiment.flow().labels.units
+    units = session(kind).experiment.flow().readout.labels.units
     for name, group in groups.items():
         contract.check(name, group, [key for key, unit in units.items() if not unit])
     known(groups[analysis], groups)

@@ -19,7 +19,8 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
 from jaxnh.analyses.options.base import Options
 from jaxnh.analyses.price import Price
 from jaxnh.exceptions import InputError
-from jaxnh.systems.flow import Flow, Output
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.readout import Output
 from jaxnh.systems.state import State
 
 LANE = "lane"
@@ -62,7 +63,7 @@ class Setting(NamedTuple):
     def advice(self) -> str:
         """Return advice on which parameter may be put first, where the first axis is no parameter of a lane's own."""
         names = [axis.name for axis in self.axes if axis.kind == "lane"]
-        names = names[:1] or sorted(name for name in self.flow.parameters if not self.flow.is_shared(name))[-1:]
+        names = names[:1] or sorted(name for name in self.flow.parameters if not self.flow.roles.is_shared(name))[-1:]
         return f"; put a parameter such as {names[0]} first" if names else ""
 
 

@@ -16,11 +16,12 @@ from jaxnh.maps.build import make_return_map, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.inverse import make_inverse_map
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import System
+from jaxnh.maps.section import Section, System, flow_of
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import Solver
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import UNSAID, Flow, Parameters
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.readout import UNSAID
 from jaxnh.systems.state import State
 
 
@@ -109,7 +110,12 @@ class LaneBatch:
     @property
     def flow(self) -> Flow:
         """The system in continuous time."""
-        return self.system.flow
+        return flow_of(self.system)
+
+    @property
+    def on_section(self) -> bool:
+        """Return whether its return map goes from crossing to crossing of a section."""
+        return isinstance(self.system, Section)
 
     @property
     def chart(self) -> Chart:
@@ -118,7 +124,7 @@ class LaneBatch:
 
     def without_section(self) -> LaneBatch:
         """Return the same batch without a section, for averages and paths over time."""
-        return replace(self, system=self.flow, start=self.start.state) if self.flow is not self.system else self
+        return replace(self, system=self.flow, start=self.start.state) if self.on_section else self
 
     def take(self, lanes: slice | Int[np.ndarray, " some"]) -> LaneBatch:
         """Return the batch of a subset of its lanes: a slice, or an array of their numbers."""
@@ -211,17 +217,17 @@ def rate_attrs(flow: Flow) -> dict[str, str]:
     """Return the units of a rate, for `variable`; of a map also what it is counted in."""
     if not flow.continuous:
         return {"units": "1", "counted_in": "1/iterate"}
-    time = flow.labels.units["t"]
+    time = flow.readout.labels.units["t"]
     return {"units": time if time in ("1", UNSAID) else f"1/{time}" if time.isalpha() else f"1/({time})"}
 
 
 def iterate_units(system: System) -> str:
     """Return the unit that iterates of a system's map count: periods, iterates, crossings, or units of time."""
-    if system.flow is not system:
+    if isinstance(system, Section):
         return "crossings"
-    if not system.flow.autonomous:
-        return "periods" if system.flow.continuous else "iterates"
-    return system.flow.labels.iterates
+    if not system.autonomous:
+        return "periods" if system.continuous else "iterates"
+    return system.readout.labels.iterates
 
 
 def keep_all(result: Any) -> tuple[Any, Any]:

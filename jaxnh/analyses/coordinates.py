@@ -11,7 +11,7 @@ from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.section import outputs, plot_plane
-from jaxnh.systems.flow import Output
+from jaxnh.systems.readout import Output
 
 
 def coordinates_at(batch: LaneBatch, lanes: LaneRunner, points: np.ndarray, instant: float = 0.0) -> dict[str, Output]:

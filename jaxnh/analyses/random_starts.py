@@ -55,7 +55,8 @@ def random_start_batch(
     count = int(places.max()) - first + 1
     draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first]
     drawn = {name: low + (high - low) * draws[..., k].ravel() for k, (name, (low, high)) in enumerate(box.items())}
-    coordinates = batch.flow.outputs(jax.tree.map(lambda x: x[:, None], batch.without_section().start), np.zeros(1))
+    start = jax.tree.map(lambda x: x[:, None], batch.without_section().start)
+    coordinates = batch.flow.readout.coordinates(start, np.zeros(1))
     others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in coordinates.items()}
     p = {name: np.repeat(values, starts) for name, values in batch.p.items()}
     state = begin(batch.system, batch.flow.start(others | drawn))

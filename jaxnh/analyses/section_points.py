@@ -9,9 +9,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import Crossing, Section, System, rates, reports
-from jaxnh.systems.flow import NOT_FINITE, Parameters
+from jaxnh.maps.section import Crossing, Section, System, flow_of, rates, reports
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State, is_finite
+from jaxnh.systems.status import NOT_FINITE
 
 _STILL = 1e-9  # of the largest rates: integrators keep equilibria to rounding
 
@@ -33,7 +34,7 @@ def first_points(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lane
 
 def first_places(batch: LaneBatch, lanes: LaneRunner) -> tuple[Float[np.ndarray, "lanes d"], Int[np.ndarray, " lanes"]]:
     """The points of `first_points`, and the status of lanes there."""
-    if batch.flow is batch.system:
+    if not batch.on_section:
         return batch.chart.host_points(batch.start), statuses(batch, batch.start)
     u, crossing = lanes(_first_crossing, (batch.strobe(),), batch.lanes, periods=1)
     return np.asarray(u), statuses(batch, crossing)
@@ -46,7 +47,7 @@ def points_of_starts(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "
     the points of the section that have the coordinates of the starts; not with constraints, which these may break.
     """
     first, flow = first_points(batch, lanes), batch.flow
-    if flow is batch.system or flow.chart.dimension > flow.exponents:
+    if not batch.on_section or flow.chart.dimension > flow.exponents:
         return first
     return np.concatenate([first, points_at(batch, lanes, batch.start)])
 
@@ -154,9 +155,9 @@ def on_constraints(system: System, u: Float[Array, " d"], p: Parameters) -> tupl
     """Return the point on the constraints near section coordinates, and its state of the flow, of one lane."""
     state = system.chart.state(u)
     if isinstance(state, Crossing):
-        state = state._replace(state=system.flow.nearest(state.state, p))
+        state = state._replace(state=flow_of(system).nearest(state.state, p))
         return system.chart.point(state), state.state
-    state = system.flow.nearest(state, p)
+    state = flow_of(system).nearest(state, p)
     return system.chart.point(state), state
 
 

@@ -67,8 +67,10 @@ from jaxnh.analyses.window_averages import average_window, extents
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.chart import wrap_angle
-from jaxnh.systems.flow import NOT_FINITE, Flow, Parameters, status
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.readout import status
 from jaxnh.systems.state import State
+from jaxnh.systems.status import NOT_FINITE
 
 KINDS = (
     "periodic", "quasiperiodic", "chaotic", "undecided", "failed", "equilibrium", "limit_cycle", "hyperchaotic",

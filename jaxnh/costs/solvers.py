@@ -25,6 +25,7 @@ from jaxnh.analyses.batch import LaneBatch
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map, scheme_of
+from jaxnh.maps.section import flow_of
 from jaxnh.solvers import RUNGE_KUTTA, SPLITTINGS, IsokineticSplitting
 from jaxnh.solvers.diffrax_solvers import DiffraxSteps, OneTermSolver
 from jaxnh.systems.flow import Flow
@@ -176,7 +177,7 @@ def _rows(calibration: Calibration, bench: SolverBench) -> list[SolverRow]:
     """Settings from coarse to as fine as pays, method by method; those beyond hope are left out."""
     rows: dict[str, list[SolverRow]] = {}
     if not bench.split:
-        for ladder in _explicit(bench.system.flow):
+        for ladder in _explicit(flow_of(bench.system)):
             limit = _limit(rows)
             measured = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
             rows |= {measured[0].setting.method: measured} if measured else {}
@@ -192,7 +193,7 @@ def _rows(calibration: Calibration, bench: SolverBench) -> list[SolverRow]:
     limit = _limit(rows)
     for solver in low:
         rows[solver.name] = _measure(_splitting(solver), calibration, bench, limit)
-    for ladder in _explicit(bench.system.flow):
+    for ladder in _explicit(flow_of(bench.system)):
         measured = _measure(ladder, calibration, bench, limit, _FEW_ROWS)
         rows |= {measured[0].setting.method: measured} if measured else {}
     order = {name: i for i, name in enumerate(chain.from_iterable((s, f"{s} compensated") for s in SPLITTINGS))}
@@ -227,10 +228,10 @@ def _explicit(flow: Flow) -> Iterator[Iterator[SolverSetting]]:
             yield SolverSetting(name, DiffraxSteps(AdaptivePeriod(solver, tolerance)), 1, math.nan, tolerance=tolerance)
             tolerance *= 10**-_FEW_DECADES
 
-    own = [solver for solver in scheme_of(flow).solvers(flow.flow) if not isinstance(solver, IsokineticSplitting)]
+    own = [solver for solver in scheme_of(flow).solvers(flow) if not isinstance(solver, IsokineticSplitting)]
     for solver in {solver.name: solver for solver in (*own, *RUNGE_KUTTA.values())}.values():
         yield constant(solver.name, solver, solver.convergence_order, solver.stages)
-    if isinstance(flow.flow, PiecewiseSmooth):  # whose steps end where those of diffrax do not
+    if isinstance(flow, PiecewiseSmooth):  # whose steps end where those of diffrax do not
         return
     for stock, order in ((diffrax.Tsit5(), 5), (diffrax.Dopri8(), 8)):
         name = f"diffrax {type(stock).__name__}"

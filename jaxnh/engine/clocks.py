@@ -18,7 +18,7 @@ def decides_clock(file: UserFile, flow: Flow, name: str, values: Float[np.ndarra
     """Return whether the strobe period depends on a parameter: anywhere near its value, or between these."""
     picked = values[spread_indices(len(values), _MOST)]
     own = {key: value for key, value in flow.parameters.items() if key in file.parameters}
-    return flow.is_shared(name) or len({file.period({**own, name: float(value)}) for value in picked}) > 1
+    return flow.roles.is_shared(name) or len({file.period({**own, name: float(value)}) for value in picked}) > 1
 
 
 def scales_time(file: UserFile, parameters: Mapping[str, float], swept: Mapping[str, Float[np.ndarray, " n"]]) -> bool:

@@ -31,7 +31,7 @@ from jaxnh.jobs.cutting import Cutting, Piece, tile_lanes
 from jaxnh.jobs.job import Job
 from jaxnh.jobs.provenance import Provenance, versions
 from jaxnh.maps.build import make_return_map, scheme_of
-from jaxnh.maps.section import Section
+from jaxnh.maps.section import Section, flow_of
 from jaxnh.solvers import SOLVERS, AdaptiveMethod, Solver, iteration
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import Flow
@@ -388,6 +388,6 @@ def clock_of(experiment: Experiment, axes: Sequence[Axis]) -> Clock:
         experiment.dynamics({axis.name: float(grid.ravel()[k]) for axis, grid in zip(shared, grids, strict=True)})
         for k in range(grids[0].size if shared else 1)
     ]
-    periods = np.array([system.flow.period for system in systems])
+    periods = np.array([flow_of(system).period for system in systems])
     section = systems[0].description if isinstance(systems[0], Section) else ""
     return Clock(float(periods[0]) if np.all(periods == periods[0]) else periods, section)

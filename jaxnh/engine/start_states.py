@@ -15,10 +15,11 @@ from jaxtyping import Array, Float
 from jaxnh.analyses.options.base import rule
 from jaxnh.config.messages import join_words
 from jaxnh.config.user_system import UserInitial, UserSweep
-from jaxnh.systems.flow import STATUS, Flow, Parameters
+from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion
 from jaxnh.systems.level import off_level
 from jaxnh.systems.state import State
+from jaxnh.systems.status import STATUS
 from jaxnh.systems.switched_mechanics import SwitchedMechanics
 from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 
@@ -128,7 +129,7 @@ def _in_tiles(function: Callable[..., Any], flow: Lagrangian, start: Motion, p: 
     """
     count = len(start.q[0])
     own = {
-        name: np.broadcast_to(np.asarray(p.get(name, flow.values[name]), float), count) for name in flow.lane_parameters
+        name: np.broadcast_to(np.asarray(p.get(name, flow.values[name]), float), count) for name in flow.roles.of_lanes
     }
     lanes = jax.tree.map(lambda leaf: np.asarray(leaf, float), (start, own, *more))
     parts = []

@@ -70,14 +70,15 @@ class LiveDiagram:
         self.first = View(
             axis.name,
             *self.sessions.ends[axis.name],
-            flow.labels.planes[0][0],
+            flow.readout.labels.planes[0][0],
             transient=options.get("transient", 512),
             strobes=options.get("strobes", 128),
             columns=columns,
         )
         self.axis_words = {axis.name: axis_title(axis.long_name, axis.units)}
         self.variables = {
-            name: axis_title(flow.labels.long_names[name], flow.labels.units[name]) for name in flow.coordinates
+            name: axis_title(flow.readout.labels.long_names[name], flow.readout.labels.units[name])
+            for name in flow.coordinates
         }
         self._seconds: dict[int, float] = {}  # a lane-period, by session
 

@@ -195,7 +195,7 @@ class Sessions:
             if name not in self.ends:
                 number = float(value)  # pyright: ignore[reportArgumentType]
                 ends = sorted((0.5 * number, 1.5 * number)) if number else (0.0, 1.0)
-                yield Parameter(name, flow.labels.long_names[name], number, *ends)
+                yield Parameter(name, flow.readout.labels.long_names[name], number, *ends)
 
     def _calibrate(
         self,

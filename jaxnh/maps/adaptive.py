@@ -22,8 +22,9 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.general_flow import Moving, linearise, own_parameters, restored, stack_leaves, time_split
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.solvers.adaptive import AdaptiveMethod
-from jaxnh.systems.flow import NOT_FINITE, OUT_OF_STEPS, Flow, Parameters
+from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components, masked
+from jaxnh.systems.status import NOT_FINITE, OUT_OF_STEPS
 
 _MOST_TRIALS = 1 << 17  # steps that are tried in a map: a lane that needs more has run out of them
 _SHORTEST = 1e-15  # of the length of time: what needs shorter steps goes to infinity, or its rates do
@@ -156,7 +157,7 @@ class AdaptiveStrobe(ReturnMap):
             def rate(z: State) -> State:
                 return split.rest(split.table(t, system), system, (z, own))
 
-            return [*jax.tree.leaves(rate(y)), *([system.divergence_of(rate, y)] if volume else [])]
+            return [*jax.tree.leaves(rate(y)), *([system.reduction.divergence_of(rate, y)] if volume else [])]
 
         return rates
 

@@ -24,7 +24,7 @@ from jaxnh.maps.kicks import KickStrobe
 from jaxnh.maps.nystrom import nystrom_strobe, nystrom_unit_step
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.second_order import second_order
-from jaxnh.maps.section import Section
+from jaxnh.maps.section import Section, flow_of
 from jaxnh.maps.step_grids import GRID_POINTS, share_of_steps, step_grid
 from jaxnh.solvers import (
     ADAPTIVE,
@@ -225,7 +225,7 @@ def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:
     """Return the scheme that integrates a flow, with a solver if one is named."""
     if isinstance(solver, AdaptiveMethod):
         return ADAPTIVE_SCHEME
-    own, other = next(SCHEMES[kind] for kind in type(system.flow).__mro__ if kind in SCHEMES)
+    own, other = next(SCHEMES[kind] for kind in type(flow_of(system)).__mro__ if kind in SCHEMES)
     return own if solver is None or isinstance(solver, type(own.reference)) else other
 
 

@@ -22,8 +22,9 @@ from jaxnh.maps.adaptive import AdaptiveStrobe
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.section import Crossing, Section
-from jaxnh.systems.flow import NO_RETURN, NOT_FINITE, Flow, Parameters
+from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, masked
+from jaxnh.systems.status import NO_RETURN, NOT_FINITE
 
 _ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it: of its value and of a step's way across
 SETTLED = 1e-9

@@ -20,7 +20,7 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.general_flow import own_parameters
 from jaxnh.maps.jumping import JumpingStrobe
 from jaxnh.maps.jumping_section import JumpingSection
-from jaxnh.maps.section import Section
+from jaxnh.maps.section import Section, flow_of
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -143,7 +143,7 @@ def arc_end(
         p: parameters of the lane.
         names: of parameters.
     """
-    flow: Any = system.flow
+    flow: Any = flow_of(system)
     count, sides = side.shape[0], tuple(side)
 
     def end(start: Array, length: Array, values: Array) -> ArcEnd:

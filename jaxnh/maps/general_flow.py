@@ -148,7 +148,7 @@ class GeneralStrobe(ReturnMap):
             def rate(z: State, own: Any) -> State:
                 return time_split(system).rest(values, system, (z, own))
 
-            divergence = system.divergence_of(lambda z: rate(z, own), y.state) if volume else None
+            divergence = system.reduction.divergence_of(lambda z: rate(z, own), y.state) if volume else None
             return Moving(*derivative(rate, y.state, own, y.tangents, by_p), divergence)
 
         def field(values: Sequence[Any], y: Moving) -> Moving:
@@ -303,9 +303,9 @@ def lanes_per_tile(each: int) -> int:
 
 def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
     """The parameters that lanes may have of their own, from the flow where a lane has none."""
-    if unknown := set(p) - set(system.lane_parameters):
+    if unknown := set(p) - set(system.roles.of_lanes):
         raise ValueError(f"lanes have {', '.join(sorted(unknown))} of their own, which the flow does not know of")
-    return {name: p[name] if name in p else system.parameters[name] for name in system.lane_parameters}
+    return {name: p[name] if name in p else system.parameters[name] for name in system.roles.of_lanes}
 
 
 def stages_in_loop(system: Flow, solver: WrittenOutRungeKutta, tangents: int) -> bool:
@@ -325,7 +325,7 @@ def time_split(system: Flow) -> TimeSplit:
 
     section = jax.ShapeDtypeStruct((system.chart.dimension,), jnp.float64)
     state = jax.eval_shape(lambda u: system.reduction.reduce(system.chart.state(u)), section)
-    return TimeSplit(rate, system, (state, dict.fromkeys(system.lane_parameters, 0.0)))
+    return TimeSplit(rate, system, (state, dict.fromkeys(system.roles.of_lanes, 0.0)))
 
 
 def general_strobe(system: Flow, solver: Any, grid: np.ndarray) -> GeneralStrobe:

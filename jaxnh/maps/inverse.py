@@ -12,7 +12,7 @@ from jaxnh.maps.build import backward_parts, map_of_one_step
 from jaxnh.maps.crossings import EventStrobe
 from jaxnh.maps.iteration import IterationStrobe
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import Section
+from jaxnh.maps.section import Section, flow_of
 from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.systems.discrete_map import DiscreteMap, inverse_map
 from jaxnh.systems.flow import Flow
@@ -31,7 +31,7 @@ def make_inverse_map(system: Flow | Section, solver: Solver, steps: int, *, comp
         if (inverse := inverse_map(system)) is None:
             raise TypeError("the map says no inverse")
         return IterationStrobe(inverse)
-    if isinstance(system.flow, PiecewiseSmooth):
+    if isinstance(flow_of(system), PiecewiseSmooth):
         raise TypeError("motions with jumps or switches are not followed backwards")
     if isinstance(solver, AdaptiveMethod):
         raise TypeError(f"the flow takes steps of a lane's own ({solver.name}), which go forward alone")

@@ -38,8 +38,9 @@ from jaxnh.maps.passages import March, Passages, Trials, passages_within
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Reading, side_from
 from jaxnh.solvers import WrittenOutRungeKutta
-from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, Parameters
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
+from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO
 from jaxnh.systems.tracing import traced_once
 
 _MOST_EVENTS = 64
@@ -279,7 +280,7 @@ class _Lane:
             def rate(z: PiecewisePoint, own: Any) -> PiecewisePoint:
                 return system.branch(t, z, own, separate_sides(system, sides))
 
-            divergence = system.divergence_of(lambda z: rate(z, own), y.state) if lane.volume else None
+            divergence = system.reduction.divergence_of(lambda z: rate(z, own), y.state) if lane.volume else None
             return Moving(*linearise_all(rate, y.state, own, y.tangents, by_p, stacked=lane.stacked), divergence)
 
         def rates(stage: Any, y: Moving) -> Moving:

@@ -27,10 +27,11 @@ from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.saltation import Arrival
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.solvers import WrittenOutRungeKutta
-from jaxnh.systems.flow import CHATTERING, NO_RETURN, NOT_FINITE, Parameters
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
 from jaxnh.systems.sliding import HeldMotion
 from jaxnh.systems.state import Number
+from jaxnh.systems.status import CHATTERING, NO_RETURN, NOT_FINITE
 
 
 class _WithSection(PiecewiseSmooth):

@@ -19,9 +19,10 @@ from jaxtyping import Array
 
 from jaxnh.maps.event_heights import Heights, any_of, heights_of, numbers_of, pick, separate_sides
 from jaxnh.maps.general_flow import Moving, linearise, linearise_all
-from jaxnh.systems.flow import CODIMENSION_TWO, Parameters
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
 from jaxnh.systems.sliding import HeldMotion, is_on, without_rounding
+from jaxnh.systems.status import CODIMENSION_TWO
 from jaxnh.systems.tracing import traced_once
 
 _ON_WALL = 1e-9  # a state as near as this after its jump is on the wall: of a step's way across

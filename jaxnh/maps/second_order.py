@@ -104,7 +104,7 @@ class _Field:
         self.system, self._structure = system, jax.tree.structure(state)
         self.count = self._structure.num_leaves
         self.carried_whole = jax.tree.structure(carried) == self._structure
-        self.own = dict.fromkeys(system.lane_parameters, 0.0)
+        self.own = dict.fromkeys(system.roles.of_lanes, 0.0)
         self._zeros = [0.0] * self.count
 
     @property

@@ -18,8 +18,10 @@ import numpy as np
 
 from jaxnh.maps.limits import LONGEST_RETURN
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import NO_RETURN, Flow, Output, Parameters, status
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.readout import Output, status
 from jaxnh.systems.state import Number, State, Vector, error_components
+from jaxnh.systems.status import NO_RETURN
 
 
 class Crossing(NamedTuple):
@@ -124,7 +126,12 @@ class Section(eqx.Module):
 
 
 System = Flow | Section
-"""The system of a return map: its chart is `system.chart`, the flow in continuous time `system.flow`."""
+"""The system of a return map: its chart is `system.chart`, the flow in continuous time `flow_of(system)`."""
+
+
+def flow_of(system: System) -> Flow:
+    """The flow of a system in continuous time: itself, or that of its section."""
+    return system.flow if isinstance(system, Section) else system
 
 
 class SectionChart(Chart):
@@ -176,7 +183,7 @@ class SectionChart(Chart):
 
 def with_parameters(system: System, values: Parameters) -> System:
     """Return a system with other values of some parameters of its flow, of the same structure."""
-    flow = system.flow.with_parameters(values)
+    flow = flow_of(system).with_parameters(values)
     return replace(system, flow=flow) if isinstance(system, Section) else flow
 
 
@@ -206,16 +213,16 @@ def outputs(flow: Flow, y: State, t: np.ndarray) -> dict[str, Output]:
         y: states of the flow, at times t that repeat along their last axis; or crossings.
     """
     if not isinstance(y, Crossing):
-        return flow.outputs(y, t)
-    met = Output(y.t, "time since the start", {"units": flow.labels.units["t"]})
-    return {**flow.outputs(y.state, np.zeros(1)), "t": met}
+        return flow.readout.coordinates(y, t)
+    met = Output(y.t, "time since the start", {"units": flow.readout.labels.units["t"]})
+    return {**flow.readout.coordinates(y.state, np.zeros(1)), "t": met}
 
 
 def reports(flow: Flow, y: State) -> dict[str, Output]:
     """Return the status of each trajectory, which may have failed to return to the section."""
     if not isinstance(y, Crossing):
-        return flow.reports(y)
-    of_flow = flow.reports(y.state)
+        return flow.readout.reports(y)
+    of_flow = flow.readout.reports(y.state)
     reason = np.asarray(y.reason)[..., -1].astype(np.int8)
     inner = np.asarray(of_flow["status"].data)
     return {**of_flow, "status": status(np.where((reason == NO_RETURN) | (inner == 0), reason, inner))}
@@ -223,7 +230,7 @@ def reports(flow: Flow, y: State) -> dict[str, Output]:
 
 def plot_plane(system: System) -> tuple[str, str]:
     """The two coordinates that motions are drawn over: of a section the first pair without the one that it gives."""
-    planes = system.flow.labels.planes
+    planes = flow_of(system).readout.labels.planes
     if not isinstance(system, Section):
         return planes[0]
     first, second = planes[0]

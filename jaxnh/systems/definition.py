@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnh.systems.flow import UNSAID, Flow, Labels, Parameters, unit_of_time
+from jaxnh.systems.flow import Flow, ParameterRoles, Parameters
+from jaxnh.systems.readout import UNSAID, Labels, Readout
 from jaxnh.systems.tracing import KnownValue, Program
 
 Definition = Mapping[str, Any]
@@ -46,29 +47,14 @@ class DefinedFlow(Flow):
         return self.values
 
     @property
-    def lane_parameters(self) -> tuple[str, ...]:
-        """Names of the parameters that lanes may have of their own."""
-        return tuple(self.values) if self.of_lanes is None else self.of_lanes
+    def roles(self) -> ParameterRoles:
+        """Lanes have those that are said; all of them share what decides the strobe period."""
+        of_lanes = tuple(self.values) if self.of_lanes is None else self.of_lanes
+        return ParameterRoles(of_lanes, tuple(self.parameters), self._decides_clock)
 
     def with_parameters(self, values: Parameters) -> DefinedFlow:
         """Return the flow with other values of some of its own parameters."""
         return replace(self, values={**self.values, **values})
-
-    def labelled(self, kinds: Mapping[str, str], planes: tuple[tuple[str, str], ...]) -> Labels:
-        """Labels from the definition's own `labels` and `units`; angles are in radians.
-
-        Args:
-            kinds: of coordinates, by name: what each is called where the definition says nothing.
-        """
-        definition = self.define(**self.values)
-        said, units = definition.get("labels", {}), definition.get("units", {})
-        kinds = {**dict.fromkeys(self.values, "parameter"), **kinds}
-        radians = {name: "rad" for name, angle in zip(self.names, self.angles, strict=True) if angle}
-        return Labels(
-            {name: f"{said.get(name) or kind} {name}" for name, kind in kinds.items()},
-            {name: units.get(name) or radians.get(name, UNSAID) for name in (*kinds, "t")},
-            planes,
-        )
 
     @property
     def period(self) -> float:
@@ -80,9 +66,9 @@ class DefinedFlow(Flow):
         """Return whether there is no clock."""
         return not self.clock
 
-    def is_shared(self, name: str) -> bool:
+    def _decides_clock(self, name: str) -> bool:
         """Return whether the strobe period depends on a parameter."""
-        return name in self.values and _decides_the_clock(self.define, self.values, name)
+        return name in self.values and _decides_clock(self.define, self.values, name)
 
     def definition(self, p: Parameters) -> Definition:
         """The definition of a lane."""
@@ -93,7 +79,37 @@ class DefinedFlow(Flow):
         return self.definition(p).get("reversal")
 
 
-def _decides_the_clock(define: Callable[..., Definition], values: Mapping[str, ArrayLike], name: str) -> bool:
+@dataclass(frozen=True)
+class DefinedReadout(Readout):
+    """States of a system that a definition gives."""
+
+    flow: DefinedFlow
+
+    def labelled(self, kinds: Mapping[str, str], planes: tuple[tuple[str, str], ...]) -> Labels:
+        """Labels from the definition's own `labels` and `units`; angles are in radians, iterates of a map counted.
+
+        Args:
+            kinds: of coordinates, by name: what each is called where the definition says nothing.
+        """
+        flow = self.flow
+        definition = flow.define(**flow.values)
+        said, units = definition.get("labels", {}), definition.get("units", {})
+        kinds = {**dict.fromkeys(flow.values, "parameter"), **kinds}
+        radians = {name: "rad" for name, angle in zip(flow.names, flow.angles, strict=True) if angle}
+        counted = {} if flow.continuous else {"t": "1"}
+        return Labels(
+            {name: f"{said.get(name) or kind} {name}" for name, kind in kinds.items()},
+            {name: units.get(name) or radians.get(name, UNSAID) for name in (*kinds, "t")} | counted,
+            planes,
+        )
+
+
+def unit_of_time(definition: Mapping[str, Any]) -> float:
+    """The period that a definition says; where it has no clock its unit of time, 1 unless it says."""
+    return float(definition["period"] if "period" in definition else definition.get("time_unit", 1.0))
+
+
+def _decides_clock(define: Callable[..., Definition], values: Mapping[str, ArrayLike], name: str) -> bool:
     """Return whether a parameter has a part in the period, or the unit of time, that a definition says.
 
     The definition is traced. Where it makes its period by functions of plain numbers alone, values near by are

@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition, marked
 from jaxnh.systems.first_order import Point, PointFlow, point_like
-from jaxnh.systems.flow import Labels, Parameters
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import Number
 from jaxnh.systems.user_functions import components_of, pointwise
 
@@ -25,12 +25,6 @@ class DiscreteMap(PointFlow):
     def continuous(self) -> bool:
         """No: there is nothing between two iterates."""
         return False
-
-    @property
-    def labels(self) -> Labels:
-        """Labels of the definition; a number of iterates has no units."""
-        labels = super().labels
-        return labels._replace(units={**labels.units, "t": "1"})
 
     def image(self, y: Point, p: Parameters) -> Point:
         """The next iterate."""

@@ -13,8 +13,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxnh.systems.chart import Chart, general_directions, wrap_angle
-from jaxnh.systems.definition import DefinedFlow, Definition, marked
-from jaxnh.systems.flow import Labels, Output, Parameters, pairs
+from jaxnh.systems.definition import DefinedFlow, DefinedReadout, Definition, marked
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.readout import Labels, Output, pairs
 from jaxnh.systems.state import Number, State, Vector
 
 
@@ -51,12 +52,6 @@ class PointFlow(DefinedFlow):
         """Names of the coordinates in the system."""
         return self.names
 
-    @property
-    def labels(self) -> Labels:
-        """Labels of the definition."""
-        kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
-        return self.labelled(kinds, pairs(self.names))
-
     # ---- motion
 
     @property
@@ -75,12 +70,26 @@ class PointFlow(DefinedFlow):
         """The state with coordinates by name."""
         return Point(tuple(np.asarray(coordinates[name], float) for name in self.names))
 
-    def outputs(self, y: State, t: np.ndarray) -> dict[str, Output]:
-        """The coordinates by name."""
+    @property
+    def readout(self) -> PointReadout:
+        """Coordinates as the definition calls them."""
+        return PointReadout(self)
+
+
+class PointReadout(DefinedReadout):
+    """States that are points, a number a coordinate."""
+
+    @property
+    def labels(self) -> Labels:
+        names, angles = self.flow.names, self.flow.angles
+        kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(names, angles, strict=True)}
+        return self.labelled(kinds, pairs(names))
+
+    def coordinates(self, y: State, t: np.ndarray) -> dict[str, Output]:
         words = self.labels
         return {
             name: Output(wrap_angle(x) if angle else x, words.long_names[name], {"units": words.units[name]})
-            for name, x, angle in zip(self.names, y.y, self.angles, strict=True)
+            for name, x, angle in zip(self.flow.names, y.y, self.flow.angles, strict=True)
         }
 
 

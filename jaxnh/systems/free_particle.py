@@ -17,9 +17,10 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition
-from jaxnh.systems.flow import Labels, Output, Parameters
-from jaxnh.systems.lagrangian import Lagrangian, Motion, MotionChart, lagrangian
-from jaxnh.systems.particle import LABELS
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.lagrangian import Lagrangian, LagrangianReadout, Motion, MotionChart, lagrangian
+from jaxnh.systems.particle import LABELS, paper_coordinates
+from jaxnh.systems.readout import Labels, Output
 from jaxnh.systems.state import Number
 
 
@@ -43,16 +44,6 @@ class FreeParticle(Lagrangian):
         return {name: self.values[name] for name in ("a", "b", "omega")}
 
     @property
-    def lane_parameters(self) -> tuple[str, ...]:
-        """a and b; ω is in the table of times."""
-        return "a", "b"
-
-    @property
-    def labels(self) -> Labels:
-        """The paper's words."""
-        return LABELS
-
-    @property
     def chart(self) -> MotionChart:
         """Positions and velocities, of order one as the paper's equations have no dimensions."""
         return replace(super().chart, dimensionless=True)
@@ -67,18 +58,23 @@ class FreeParticle(Lagrangian):
         names = {"x1": "x1", "x1_dot": "x2", "y1": "y1", "y1_dot": "y2"}
         return super().start({ours: coordinates[theirs] for ours, theirs in names.items()})
 
-    def outputs(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
-        """The paper's coordinates of states by name."""
-        (x1, y1), (x2, y2) = y.q, y.v
-        return {
-            "x1": Output(x1, "position x1"),
-            "x2": Output(x2, "velocity x2 = dx1/dt"),
-            "y1": Output(y1, "position y1"),
-            "y2": Output(y2, "velocity y2 = dy1/dt"),
-        }
+    @property
+    def readout(self) -> FreeReadout:
+        """The paper's words."""
+        return FreeReadout(self)
+
+
+class FreeReadout(LagrangianReadout):
+    """The paper's coordinates of motions (q, q̇); there is no constraint to drift from."""
+
+    @property
+    def labels(self) -> Labels:
+        return LABELS
+
+    def coordinates(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
+        return paper_coordinates(y.q[0], y.v[0], y.q[1], y.v[1])
 
     def reports(self, y: Motion) -> dict[str, Output]:
-        """The status of a trajectory; there is no constraint to drift from."""
         return {"status": super().reports(y)["status"]}
 
 

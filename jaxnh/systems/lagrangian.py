@@ -8,6 +8,7 @@ the mass.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -17,7 +18,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnh.systems.chart import wrap_angle
-from jaxnh.systems.definition import DefinedFlow, Definition, marked
+from jaxnh.systems.definition import DefinedFlow, DefinedReadout, Definition, marked
 from jaxnh.systems.explicit import (
     Explicit,
     ExplicitReduction,
@@ -26,11 +27,12 @@ from jaxnh.systems.explicit import (
     explicit_velocities,
     maggi_accelerations,
 )
-from jaxnh.systems.flow import UNSAID, Labels, Output, Parameters, Reduction, pairs, status
+from jaxnh.systems.flow import Parameters, Reduction
 from jaxnh.systems.impulses import LARGEST_DRIFT, Projection, project_velocities
-from jaxnh.systems.jourdain import Equations, accelerations, constraint_functions, constraint_slopes, matrices
+from jaxnh.systems.jourdain import Equations, accelerations, constraint_functions
 from jaxnh.systems.motion import Motion, MotionChart
 from jaxnh.systems.quasi_velocities import QuasiVelocities, equations_of, quasi_velocities_of
+from jaxnh.systems.readout import UNSAID, Labels, Output, pairs, status
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.tracing import cached_by_structure, listed_once
 from jaxnh.systems.user_text import states_of
@@ -39,7 +41,6 @@ _SINGULAR, _OFF, _NOT_FINITE = 1.0, 2.0, 3.0
 _NEWTON_STEPS = 2  # to a level that a step has left by its error: the first squares that
 _LARGEST_FACTOR = 1e-2  # less one: a step's error is smaller, but for a body that is all but at rest
 _APPROACHES = 12  # projections from a random state to one on f = 0
-_NEARLY_LOST = 0.01  # of the smallest singular value of df/dv on a motion: steps do not follow what turns there
 
 
 class Lagrangian(DefinedFlow):
@@ -68,20 +69,6 @@ class Lagrangian(DefinedFlow):
     def velocities(self) -> tuple[str, ...]:
         """Names of the velocities of a state."""
         return self.quasi.names if self.quasi else tuple(f"{name}_dot" for name in self.names)
-
-    @property
-    def labels(self) -> Labels:
-        """Labels of the definition; each coordinate of the section is drawn with its velocity, then all others.
-
-        With quasi-velocities all pairs are drawn.
-        """
-        kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(self.names, self.angles, strict=True)}
-        rates = dict.fromkeys(self.velocities, "quasi-velocity" if self.quasi else "velocity")
-        kinds |= dict.fromkeys(self.define(**self.values).get("integrals", ()), "integral")
-        order = sorted(range(len(self.names)), key=self.ignorable.__getitem__)
-        if self.quasi:
-            return self.labelled(kinds | rates, pairs((*(self.names[i] for i in order), *self.velocities)))
-        return self.labelled(kinds | rates, tuple((self.names[i], self.velocities[i]) for i in order))
 
     # ---- motion
 
@@ -115,43 +102,6 @@ class Lagrangian(DefinedFlow):
             solved = maggi_accelerations(equations, dependent, y.q, y.v, t)
         rates = equations.rates(y.q, self.all_velocities(t, y, p), t)
         return Motion(rates, solved.a, (zero, jnp.where(solved.singular, jnp.nan, zero)))
-
-    def fault_at(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
-        """Return which matrix is singular at a state, and for which velocities."""
-        equations = self.equations(p)
-        if not bool(jnp.isnan(self.rhs(t, y, p).watch[1])):
-            return ""
-        mass = np.array(matrices(equations, (*y.q, *self.all_velocities(t, y, p), t), len(y.q))[0], float)
-        names = self.quasi.everything if self.quasi else self.velocities
-        if np.linalg.matrix_rank(mass) == len(mass):
-            if self.quasi and self.quasi.dependent:
-                given = ", ".join(names[i] for i in self.quasi.dependent)
-                return f"the constraints f do not give {given}: their derivatives by these are a singular matrix"
-            return "the constraints f are not independent: df/dv has not the full rank"
-        without = [name for name, row in zip(names, mass, strict=True) if not row.any()]
-        missing = f": T has no term with the square of {', '.join(without)}" if without else ""
-        return f"the mass matrix, the second derivatives of T by the velocities, is singular{missing}"
-
-    def near_degeneracy(self, t: ArrayLike, y: Motion, p: Parameters) -> str:
-        """Describe a near loss of rank of the constraints: the smallest singular value of df/dv against its largest."""
-        times = np.asarray(t, float)
-        slopes = constraint_slopes(self.equations(p), (*y.q, *self.all_velocities(times, y, p), times), len(y.q))
-        matrix = np.moveaxis(
-            np.array([[np.broadcast_to(entry, times.shape) for entry in row] for row in slopes]), -1, 0
-        )
-        if not matrix.size:
-            return ""
-        finite = np.all(np.isfinite(matrix), axis=(1, 2))
-        least = np.linalg.svd(np.where(finite[:, None, None], matrix, 0.0), compute_uv=False)[:, -1]
-        least = np.where(finite, least, np.inf)
-        at, largest = int(np.argmin(least)), np.max(least, initial=0.0, where=finite)
-        if not finite.any() or least[at] > _NEARLY_LOST * largest:
-            return ""
-        velocities = ", ".join(f"{n} = {v[at]:.2g}" for n, v in zip(self.velocities, np.asarray(y.v), strict=True))
-        return (
-            f"the constraints f lose rank on the way: at t = {times[at]:.3g}, {velocities} df/dv comes down to "
-            f"{least[at] / largest:.1g} of what it is elsewhere"
-        )
 
     def motion_at(self, t: ArrayLike, y: Motion, p: Parameters) -> tuple[Equations, Vector, Vector, None]:
         """The equations of a lane, coordinates and all velocities of a state, and which constraints hold: all."""
@@ -299,16 +249,42 @@ class Lagrangian(DefinedFlow):
         v = tuple(np.asarray(coordinates[name], float) for name in self.velocities)
         return Motion(q, v, (np.zeros_like(q[0]), np.zeros_like(q[0])))
 
-    def outputs(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
-        """Coordinates and velocities of states by name, in the order of `coordinates`."""
-        words, units = self.labels.long_names, self.labels.units
+    @property
+    def readout(self) -> LagrangianReadout:
+        """Coordinates and velocities as the definition calls them."""
+        return LagrangianReadout(self)
+
+
+@dataclass(frozen=True)
+class LagrangianReadout(DefinedReadout):
+    """States of a mechanical system, coordinates and velocities in the order of `Lagrangian.coordinates`."""
+
+    flow: Lagrangian
+
+    @property
+    def labels(self) -> Labels:
+        """Labels of the definition; each coordinate of the section is drawn with its velocity, then all others.
+
+        With quasi-velocities all pairs are drawn.
+        """
+        flow, names, rates = self.flow, self.flow.names, self.flow.velocities
+        kinds = {name: "angle" if angle else "coordinate" for name, angle in zip(names, flow.angles, strict=True)}
+        kinds |= dict.fromkeys(flow.define(**flow.values).get("integrals", ()), "integral")
+        kinds |= dict.fromkeys(rates, "quasi-velocity" if flow.quasi else "velocity")
+        order = sorted(range(len(names)), key=flow.ignorable.__getitem__)
+        if flow.quasi:
+            return self.labelled(kinds, pairs((*(names[i] for i in order), *rates)))
+        return self.labelled(kinds, tuple((names[i], rates[i]) for i in order))
+
+    def coordinates(self, y: Motion, t: np.ndarray) -> dict[str, Output]:
+        flow, words, units = self.flow, self.labels.long_names, self.labels.units
         outputs: dict[str, Output] = {}
-        for name, q, is_angle in zip(self.names, y.q, self.angles, strict=True):
+        for name, q, is_angle in zip(flow.names, y.q, flow.angles, strict=True):
             outputs[name] = Output(wrap_angle(q) if is_angle else q, words[name], {"units": units[name]})
-        for number, (rate, v) in enumerate(zip(self.velocities, y.v, strict=True)):
-            meaning = "" if self.quasi else f" = d{self.names[number]}/dt"
+        for number, (rate, v) in enumerate(zip(flow.velocities, y.v, strict=True)):
+            meaning = "" if flow.quasi else f" = d{flow.names[number]}/dt"
             outputs[rate] = Output(v, f"{words[rate]}{meaning}", {"units": units[rate]})
-        return {name: outputs[name] for name in states_of(self.names, self.quasi.names if self.quasi else ())}
+        return {name: outputs[name] for name in states_of(flow.names, flow.quasi.names if flow.quasi else ())}
 
     def reports(self, y: Motion) -> dict[str, Output]:
         """Return the largest |f| before a projection and the status of each trajectory, from states (..., points)."""
@@ -343,7 +319,7 @@ def _explicit(system: Lagrangian) -> Explicit | None:
         velocities.append(solved)
         return 0.0
 
-    jax.eval_shape(look, system, dict.fromkeys(system.lane_parameters, 0.0))
+    jax.eval_shape(look, system, dict.fromkeys(system.roles.of_lanes, 0.0))
     return velocities[0]
 
 

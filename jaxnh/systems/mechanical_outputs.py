@@ -28,7 +28,7 @@ def output_names(flow: Flow) -> dict[str, tuple[str, ...]]:
     if not isinstance(flow, Lagrangian | SwitchedMechanics):
         return {}
     definition = flow.definition({})
-    swept = flow.level if isinstance(flow, Lagrangian) and flow.level in flow.lane_parameters else None
+    swept = flow.level if isinstance(flow, Lagrangian) and flow.level in flow.roles.of_lanes else None
     energies = (*_ENERGY, *(name for name in definition.get("integrals", ()) if name != swept))
     names = (*energies, *(f"{name}{_RATE}" for name in energies), "power", *definition.get("outputs", ()))
     outputs: dict[str, tuple[str, ...]] = {name: (name,) for name in names}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -21,8 +21,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import Flow, Labels, Output, Parameters
+from jaxnh.systems.flow import Flow, ParameterRoles, Parameters, Reduction
 from jaxnh.systems.particle_parameters import strobe_period
+from jaxnh.systems.readout import Labels, Output, Readout
 from jaxnh.systems.state import Number, Vector
 
 State = tuple[Vector, Vector]
@@ -121,27 +122,14 @@ class IsokineticParticle(Flow):
         return {name: value for name, value in own.items() if value is not None}
 
     @property
-    def lane_parameters(self) -> tuple[str, ...]:
-        """a and b; the others are in the table of kicks."""
-        return "a", "b"
-
-    @property
-    def equation_parameters(self) -> tuple[str, ...]:
-        """All, but for d where there is no disturbance."""
-        return tuple(name for name in self.parameters if name != "d" or self.disturbed)
+    def roles(self) -> ParameterRoles:
+        """a and b are of lanes; c, ω and, with a disturbance, d are in the table of kicks, which all lanes share."""
+        of_equations = tuple(name for name in self.parameters if name != "d" or self.disturbed)
+        return ParameterRoles(("a", "b"), of_equations, ("c", "d", "omega").__contains__)
 
     def with_parameters(self, values: Parameters) -> IsokineticParticle:
         """Return the particle with other values of some of its parameters."""
         return replace(self, **values)
-
-    def is_shared(self, name: str) -> bool:
-        """c, d and ω are in the table of kicks, which all lanes share."""
-        return name in ("c", "d", "omega")
-
-    @property
-    def labels(self) -> Labels:
-        """The paper's words; each position with its velocity."""
-        return LABELS
 
     # ---- time
 
@@ -270,24 +258,10 @@ class IsokineticParticle(Flow):
         f = self.force(q, self.forcing(t), 1.0, p)
         return -(n[0] * f[0] + n[1] * f[1]) / self.speed(t)
 
-    def divergence_of(self, rate: Callable[[State], State], y: State) -> Array:
-        """Divergence of a rate that is this flow's, over (x1, y1, θ)."""
-        (x1, y1), (n1, n2) = y
-        unit = jnp.ones_like(x1)
-
-        def turning(angle: Array) -> Array:
-            n = n1 - angle * n2, n2 + angle * n1
-            turn = rate(((x1, y1), n))[1]
-            return n[0] * turn[1] - n[1] * turn[0]
-
-        along = jax.jvp(lambda x: rate(((x, y1), (n1, n2)))[0][0], (x1,), (unit,))[1]
-        across = jax.jvp(lambda x: rate(((x1, x), (n1, n2)))[0][1], (y1,), (unit,))[1]
-        return along + across + jax.jvp(turning, (jnp.zeros_like(x1),), (unit,))[1]
-
     @property
-    def contraction(self) -> str:
-        """⟨n·F⟩/s, which every kick gives."""
-        return "⟨n·F⟩/s"
+    def reduction(self) -> ParticleReduction:
+        """All of a state."""
+        return ParticleReduction(self)
 
     def velocity(self, t: ArrayLike, y: State) -> Vector:
         """(x2, y2) = s(t) n."""
@@ -313,16 +287,52 @@ class IsokineticParticle(Flow):
         with np.errstate(invalid="ignore"):
             return (x1, y1), (x2 / speed, np.sqrt(self.c - x2 * x2) / speed)
 
-    def outputs(self, y: State, t: np.ndarray) -> dict[str, Output]:
-        """The paper's coordinates of states by name; times t repeat along their last axis."""
+    @property
+    def readout(self) -> ParticleReadout:
+        """The paper's words."""
+        return ParticleReadout(self)
+
+
+class ParticleReduction(Reduction):
+    """States (q, n) as they are; n has one direction, in which it turns."""
+
+    def divergence_of(self, rate: Callable[[State], State], z: State) -> Array:
+        """Divergence of a rate over (x1, y1, θ)."""
+        (x1, y1), (n1, n2) = z
+        unit = jnp.ones_like(x1)
+
+        def turning(angle: Array) -> Array:
+            n = n1 - angle * n2, n2 + angle * n1
+            turn = rate(((x1, y1), n))[1]
+            return n[0] * turn[1] - n[1] * turn[0]
+
+        along = jax.jvp(lambda x: rate(((x, y1), (n1, n2)))[0][0], (x1,), (unit,))[1]
+        across = jax.jvp(lambda x: rate(((x1, x), (n1, n2)))[0][1], (y1,), (unit,))[1]
+        return along + across + jax.jvp(turning, (jnp.zeros_like(x1),), (unit,))[1]
+
+
+@dataclass(frozen=True)
+class ParticleReadout(Readout):
+    """The paper's coordinates of states (q, n); every kick gives the mean contraction."""
+
+    flow: IsokineticParticle
+    contraction = "⟨n·F⟩/s"
+
+    @property
+    def labels(self) -> Labels:
+        return LABELS
+
+    def coordinates(self, y: State, t: np.ndarray) -> dict[str, Output]:
         (x1, y1), (n1, n2) = y
-        speed = np.tile(self.speed(t), n1.shape[-1] // len(t))
-        return {
-            "x1": Output(x1, "position x1"),
-            "x2": Output(speed * n1, "velocity x2 = dx1/dt"),
-            "y1": Output(y1, "position y1"),
-            "y2": Output(speed * n2, "velocity y2 = dy1/dt"),
-        }
+        speed = np.tile(self.flow.speed(t), n1.shape[-1] // len(t))
+        return paper_coordinates(x1, speed * n1, y1, speed * n2)
+
+
+def paper_coordinates(x1: Number, x2: Number, y1: Number, y2: Number) -> dict[str, Output]:
+    """The paper's coordinates by name, velocities as the rates that they are."""
+    rates = {"x2": " = dx1/dt", "y2": " = dy1/dt"}
+    numbers = {"x1": x1, "x2": x2, "y1": y1, "y2": y2}
+    return {name: Output(x, f"{LABELS.long_names[name]}{rates.get(name, '')}") for name, x in numbers.items()}
 
 
 def _namespace(t: Number) -> Number:

@@ -17,10 +17,12 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition, marked
-from jaxnh.systems.first_order import CoordinateChart, FirstOrder
-from jaxnh.systems.flow import NOT_FINITE, Output, Parameters, status
+from jaxnh.systems.first_order import CoordinateChart, FirstOrder, PointReadout
+from jaxnh.systems.flow import Parameters
+from jaxnh.systems.readout import Output, status
 from jaxnh.systems.sliding import HeldMotion, free_motion, held_value, is_on, resting_motion, sliding_motion
 from jaxnh.systems.state import Number, Vector, error_components
+from jaxnh.systems.status import NOT_FINITE
 
 DIRECTIONS = ("up", "down", "both")
 """Directions in which a wall may be passed: its height rises through zero, falls, or either."""
@@ -230,8 +232,16 @@ class PiecewiseSmooth(FirstOrder):
         y = super().start(coordinates).y
         return PiecewisePoint(y, np.zeros_like(y[0]))
 
+    @property
+    def readout(self) -> PiecewiseReadout:
+        """Coordinates as the definition calls them, and why a lane has failed."""
+        return PiecewiseReadout(self)
+
+
+class PiecewiseReadout(PointReadout):
+    """States that are points, and say why they have failed."""
+
     def reports(self, y: PiecewisePoint) -> dict[str, Output]:
-        """Return the status of each trajectory, from the last of its states (..., points)."""
         reason = np.asarray(y.reason)[..., -1]
         finite = np.all([np.isfinite(x[..., -1]) for x in y.y], axis=0)
         return {"status": status(np.where(finite, 0, np.where(reason > 0, reason, NOT_FINITE)))}

@@ -8,6 +8,7 @@ to the constraint by an impulse (`impulses`), where it is passed downwards the m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -18,14 +19,16 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition
-from jaxnh.systems.flow import NOT_FINITE, STATUS, UNSAID, Labels, Output, Parameters, status
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.impulses import LARGEST_DRIFT, constrained_velocities, project_velocities, reflected_velocities
 from jaxnh.systems.jourdain import Equations, accelerations, constraint_slopes
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.motion import Motion
-from jaxnh.systems.piecewise_smooth import PiecewiseChart, PiecewisePoint, PiecewiseSmooth
+from jaxnh.systems.piecewise_smooth import PiecewiseChart, PiecewisePoint, PiecewiseReadout, PiecewiseSmooth
 from jaxnh.systems.quasi_velocities import QuasiVelocities, equations_of
+from jaxnh.systems.readout import UNSAID, Labels, Output
 from jaxnh.systems.state import Number, Vector
+from jaxnh.systems.status import STATUS
 from jaxnh.systems.tracing import KnownValue, Program
 
 _SINGULAR, _OFF = float(STATUS.index("singular")), float(STATUS.index("off_constraint"))
@@ -90,11 +93,6 @@ class SwitchedMechanics(PiecewiseSmooth):
     def coordinates(self) -> tuple[str, ...]:
         """Names of coordinates and velocities, in the order of results."""
         return self.mechanics.coordinates
-
-    @property
-    def labels(self) -> Labels:
-        """Labels of the definition; each coordinate is drawn with its velocity."""
-        return self.mechanics.labels
 
     @property
     def loses_rank(self) -> bool:
@@ -254,22 +252,31 @@ class SwitchedMechanics(PiecewiseSmooth):
         drift, reason = y.watch
         return PiecewisePoint((*y.q, *y.v), reason, (drift, np.zeros_like(drift)))
 
-    def outputs(self, y: PiecewisePoint, t: np.ndarray) -> dict[str, Output]:
-        """Coordinates and velocities of states by name."""
-        return self.mechanics.outputs(self.as_motion(y), t)
+    @property
+    def readout(self) -> PiecewiseReadout:
+        """Coordinates and velocities as the definition calls them."""
+        return SwitchedReadout(self)
+
+
+@dataclass(frozen=True)
+class SwitchedReadout(PiecewiseReadout):
+    """States of a mechanical system with events, as those of the system without."""
+
+    flow: SwitchedMechanics
+
+    @property
+    def labels(self) -> Labels:
+        return self.flow.mechanics.readout.labels
+
+    def coordinates(self, y: PiecewisePoint, t: np.ndarray) -> dict[str, Output]:
+        return self.flow.mechanics.readout.coordinates(self.flow.as_motion(y), t)
 
     def reports(self, y: PiecewisePoint) -> dict[str, Output]:
         """Return drift, energy lost in impulses and status of each trajectory, from states (..., points)."""
         drift, lost = (np.asarray(number)[..., -1] for number in y.watch)
-        reason = np.asarray(y.reason)[..., -1]
-        finite = np.all([np.isfinite(x[..., -1]) for x in y.y], axis=0)
-        reports = {
-            "energy_lost": Output(
-                lost, "kinetic energy lost in impacts and where constraints begin, since the start", {"units": UNSAID}
-            ),
-            "status": status(np.where(finite, 0, np.where(reason > 0, reason, NOT_FINITE))),
-        }
-        if not self.constrained:
+        words = "kinetic energy lost in impacts and where constraints begin, since the start"
+        reports = {"energy_lost": Output(lost, words, {"units": UNSAID}), **super().reports(y)}
+        if not self.flow.constrained:
             return reports
         words = "largest |f| that a step left before its projection"
         return {"drift": Output(drift, words, {"units": UNSAID}), **reports}

@@ -51,9 +51,9 @@ from jax.typing import ArrayLike
 
 from jaxnh.exceptions import InputError, UserFileError
 from jaxnh.systems.corners import forces_with_switches, with_switches
+from jaxnh.systems.definition import unit_of_time
 from jaxnh.systems.discrete_map import DiscreteMap, discrete_map
 from jaxnh.systems.first_order import FirstOrder, first_order
-from jaxnh.systems.flow import unit_of_time
 from jaxnh.systems.lagrangian import Lagrangian, lagrangian
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.scaled_time import in_periods
@@ -229,7 +229,7 @@ class UserFile:
             raise
         except InputError as error:
             raise self._fault(self._line_of("rates"), str(error)) from None
-        return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.is_shared(name)))
+        return replace(flow, of_lanes=tuple(name for name in of_lanes if not flow.roles.is_shared(name)))
 
     @functools.cached_property
     def can_scale_time(self) -> bool:

@@ -16,7 +16,7 @@ from jaxnh.analyses.base import flag, variable
 from jaxnh.analyses.exponents.estimates import SOURCES
 from jaxnh.analyses.verdict import exceeds_shear, largest_across, nearly_zero
 from jaxnh.storage import hdf5
-from jaxnh.systems.flow import STATUS
+from jaxnh.systems.status import STATUS
 from sweeps.studies.dysts_flows import PublishedFlow, independent_spectra
 
 RECORD, RESULT, LONGER = "record.json", "result.h5", "longer"

@@ -16,8 +16,8 @@ from jaxnh.analyses.basins.tables import wilson
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.solvers import SPLITTINGS
-from jaxnh.systems.flow import STATUS
 from jaxnh.systems.particle import constant_speed
+from jaxnh.systems.status import STATUS
 from tests.flows.written_out import experiment, line, oscillator
 from tests.helpers.attractors import grid, kinds, same_partition
 from tests.helpers.batches import batch_of

@@ -8,7 +8,7 @@ import pytest
 import jaxnh
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
-from jaxnh.systems.flow import STATUS
+from jaxnh.systems.status import STATUS
 from tests.flows.written_out import experiment, line, oscillator
 from tests.helpers.commands import run_by_two_workers, run_here
 from tests.helpers.comparisons import same_tree

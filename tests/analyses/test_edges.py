@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 import jaxnh
 from jaxnh.analyses.edges.tables import status_of
 from jaxnh.exceptions import InputError
-from jaxnh.systems.flow import STATUS
+from jaxnh.systems.status import STATUS
 from tests.flows.known_maps import henon
 from tests.helpers import heyoka_newton
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxnh
-from jaxnh.systems.flow import STATUS
+from jaxnh.systems.status import STATUS
 from tests.flows.excitable import FLOWS, by_heyoka, by_scipy, rates_with_tangents, spectrum
 from tests.helpers.cases import some_slow
 from tests.helpers.kept_programs import session_of

@@ -35,7 +35,7 @@ def result_of(*arguments):
     session = session_of(asked)
     session._lanes = lanes_with_kept_programs(None, session._lanes.devices[:1], 32)
     groups = session.tree()
-    units = asked.flow().labels.units
+    units = asked.flow().readout.labels.units
     for name, group in groups.children.items():
         contract.check(name, group.to_dataset(), [key for key, unit in units.items() if not unit])
     return groups

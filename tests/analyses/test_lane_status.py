@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxnh
-from jaxnh.systems.flow import NO_RETURN, NOT_FINITE
+from jaxnh.systems.status import NO_RETURN, NOT_FINITE
 
 
 def hopf(mu=1.0, cubic=-1.0):

@@ -48,7 +48,7 @@ def spectrum(rho):
 def test_equilibria_and_their_exponents(lorenz):
     """The origin below ρ = 1, then the two beside it; chaos at 28. Eigenvalues by the Jacobian written out."""
     rho = [0.5, 10.0, 16.0, 28.0]
-    found = at_rest(lorenz.flow().flow, {"x": 1.0, "y": 1.0, "z": 20.0}, rho, 200)
+    found = at_rest(lorenz.flow(), {"x": 1.0, "y": 1.0, "z": 20.0}, rho, 200)
     assert found.still.tolist() == [True, True, True, False]
     assert not found.fading[3]
     exact = np.array([spectrum(value) for value in rho[:3]])
@@ -58,14 +58,14 @@ def test_equilibria_and_their_exponents(lorenz):
 
 def test_a_saddle_is_no_rest(lorenz):
     """On the z-axis every motion ends at the origin exactly, which beyond ρ = 1 is a saddle."""
-    found = at_rest(lorenz.flow().flow, {"x": 0.0, "y": 0.0, "z": 20.0}, [0.5, 28.0], 200)
+    found = at_rest(lorenz.flow(), {"x": 0.0, "y": 0.0, "z": 20.0}, [0.5, 28.0], 200)
     assert found.still.tolist() == [True, False]
 
 
 def test_a_spiral_that_dies_down_is_seen_before_it_rests(lorenz):
     """At ρ = 24 the amplitude about the equilibrium falls as exp(−0.0225 t): far from rest after 200 units of time."""
     side = np.sqrt(8 / 3 * 23)
-    found = at_rest(lorenz.flow().flow, {"x": side + 0.1, "y": side, "z": 23.0}, [24.0], 200)
+    found = at_rest(lorenz.flow(), {"x": side + 0.1, "y": side, "z": 23.0}, [24.0], 200)
     assert found.fading.tolist() == [True]
     assert found.still.tolist() == [False]
     assert np.all(np.isnan(found.exponents[0]))  # nothing is linearised of a lane that moves

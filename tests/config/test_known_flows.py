@@ -140,7 +140,7 @@ def test_every_flow_is_tested():
 def flow_and_lanes(name):
     """The flow in continuous time, start states and parameters of three lanes of a config, and their values of its axis."""
     experiment = loaded(name)
-    flow, axis = experiment.flow().flow, experiment.axes[0]
+    flow, axis = experiment.flow(), experiment.axes[0]
     values = axis.values[[0, len(axis.values) // 2, -1]]
     if axis.kind == "shared":
         values = np.repeat(axis.values[:1], 3)
@@ -257,7 +257,7 @@ def test_shortest_orbit_of_roessler():
 
     The list has 1.000000003 for the multiplier one: it is known to 3e-9, in z, which falls at a rate of 7 there, to 2e-8.
     """
-    flow = Section(loaded("roessler").flow().flow, "x", 0, 0.0, "down")
+    flow = Section(loaded("roessler").flow(), "x", 0, 0.0, "down")
     strobe, p = make_return_map(flow, dopri8, 256), {"c": np.array([5.7])}
     orbit = orbits(LANES, strobe, np.array([[6.0, 1.3]]), p, 1)
     assert np.abs(orbit.u[0] - [6.09176831742, 1.29973195919]).max() < 5e-8

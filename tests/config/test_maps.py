@@ -30,7 +30,7 @@ def test_a_map_is_a_system(tmp_path):
     flow = jaxnh.load(write(tmp_path)).flow()
     assert isinstance(flow, DiscreteMap)
     assert (flow.autonomous, flow.continuous, flow.period, flow.exponents) == (False, False, 1.0, 2)
-    assert flow.labels.units == {"a": "", "b": "", "x": "", "y": "", "t": "1"}
+    assert flow.readout.labels.units == {"a": "", "b": "", "x": "", "y": "", "t": "1"}
 
 
 @pytest.mark.parametrize(

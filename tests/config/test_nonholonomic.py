@@ -343,7 +343,7 @@ def test_a_script_loads_a_config_before_it_starts_a_session():
 def test_equations_of_nose_and_hoover():
     """At random states and temperatures, to rounding."""
     q, p, friction, temperature = numbers(16, 4)
-    flow = jaxnh.load(FOLDER / "nose_hoover.yaml").flow().flow
+    flow = jaxnh.load(FOLDER / "nose_hoover.yaml").flow()
     states = jax.vmap(lambda *y: flow.chart.state(y))(q, p, friction)
     rates = jax.vmap(lambda y, value: flow.rhs(0.0, y, {"temperature": value}))(states, temperature)
     exact = np.array([p, -q - friction * p, p**2 - temperature])

@@ -57,7 +57,7 @@ def test_names(tmp_path):
     made = load(tmp_path)
     names = ("e0", "e1", "e2", "e3", "p", "q", "r")
     assert made.coordinates == made.flow().coordinates == names
-    assert made.flow().labels.long_names["p"] == "quasi-velocity p"
+    assert made.flow().readout.labels.long_names["p"] == "quasi-velocity p"
     written_out = TOP.replace("coordinates=e", 'coordinates=("e0", "e1", "e2", "e3")')
     assert load(tmp_path, written_out).coordinates == names
 
@@ -222,7 +222,7 @@ def test_wrong_levels(tmp_path, sweep, more, message):
 def test_steps_stay_on_a_level(lanes):
     """Long steps of low order leave it by 1e-3 and more, but for the projection; of it two steps of Newton leave rounding."""
     flow = on_level(lagrangian(pebble, {"mass": 1.4, "gravity": 0.9}, ("gravity",)), {"energy": 3.0}, ("energy",))
-    assert (flow.lane_parameters, flow.exponents) == (("gravity", "energy"), 4)
+    assert (flow.roles.of_lanes, flow.exponents) == (("gravity", "energy"), 4)
     start = Motion((0.0, 0.6, 0.8), (0.1, 0.3, 1.5), (0.0, 0.0))
     levels, strobe = np.array([3.0, 5.0]), make_return_map(flow, tsit5, 4)
     (start, reached) = put_on_level(off_level(flow), jax.tree.map(lambda x: np.full(2, x), start), {}, "energy", levels)
@@ -259,7 +259,7 @@ def test_rattleback_is_a_config():
 def test_equations_of_rolling_bodies(name, most):
     """Every program has them, and a user waits for the compiling of each: 356 and 579 with all entries of a matrix that
     is symmetric, exchanges of rows that it does not need, and moduli of its zeros."""
-    assert time_split(jaxnh.load(ROOT / f"configs/nonholonomic/{name}.yaml").flow().flow).size <= most
+    assert time_split(jaxnh.load(ROOT / f"configs/nonholonomic/{name}.yaml").flow()).size <= most
 
 
 def test_starts_have_one_program(monkeypatch):

@@ -45,7 +45,7 @@ def test_system_and_section(tmp_path):
     assert section.description == "x - y = 0, up"
     assert plot_plane(section) == ("y", "z")
     assert dict(flow.parameters) == {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
-    assert flow.lane_parameters == ("rho",)
+    assert flow.roles.of_lanes == ("rho",)
     assert [float(x[0]) for x in experiment.start({}, 1).state.y] == [1.0, 1.0, 20.0]
 
 

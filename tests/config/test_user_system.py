@@ -27,8 +27,8 @@ from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.plotting import results as figures
 from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.storage import hdf5 as store
-from jaxnh.systems import flow as flows
 from jaxnh.systems.lagrangian import Motion
+from jaxnh.systems.status import STATUS
 from jaxnh.systems.user_file import UserFile
 from tests.flows.particle import SYSTEMS
 from tests.helpers import taylor
@@ -329,8 +329,8 @@ def test_a_flow_is_made_once_for_equal_numbers(tmp_path):
     first = file.flow({"a": 0.0, "b": 2.0})
     assert file.flow({"a": 0.0, "b": 2.0}) is first
     assert np.signbit(file.flow({"a": -0.0, "b": 2.0}).parameters["a"])
-    assert file.flow({"a": 0.0, "b": 2.0}, ("b",)).lane_parameters == ("b",)
-    assert file.flow({"a": 0.0, "b": 2.0}).lane_parameters == ()
+    assert file.flow({"a": 0.0, "b": 2.0}, ("b",)).roles.of_lanes == ("b",)
+    assert file.flow({"a": 0.0, "b": 2.0}).roles.of_lanes == ()
     for a in range(300):
         assert file.flow({"a": float(a), "b": 2.0}).parameters["a"] == a
     assert len(file._flows) <= 256
@@ -425,7 +425,7 @@ def test_starts_off_the_constraint_fail_and_no_others(tmp_path):
     start = points(experiment, axes, np.unravel_index(np.arange(4), (2, 2))).start
     off = [False, False, True, True]  # θ = 0.5, where the blade does not point along x
     assert list(np.isnan(start.v[0])) == list(np.isnan(start.q[0])) == off
-    assert [flows.STATUS[int(reason)] for reason in start.watch[1]] == [
+    assert [STATUS[int(reason)] for reason in start.watch[1]] == [
         "ok",
         "ok",
         "off_constraint",

@@ -114,14 +114,14 @@ def test_lanes_of_a_sweep_have_its_values():
     b, d, x1 = experiment.axes
     assert [(one.name, one.kind) for one in (b, d, x1)] == [("b", "lane"), ("d", "shared"), ("x1", "start")]
     found = points(experiment, experiment.axes, places_of(Piece(0, (), (1, 1, 0), (3, 2, 2))))
-    assert found.system.flow.parameters["d"] == 0.2
+    assert found.system.parameters["d"] == 0.2
     assert {name: values.tolist() for name, values in found.p.items()} == {"b": [2, 2, 3, 3]}
     assert {name: values.tolist() for name, values in found.where.items()} == {
         "b": [2, 2, 3, 3],
         "d": [0.2] * 4,
         "x1": [-1, 1, -1, 1],
     }
-    coordinates = found.system.flow.outputs(found.start, np.zeros(1))
+    coordinates = found.system.readout.coordinates(found.start, np.zeros(1))
     np.testing.assert_array_equal(np.ravel(coordinates["x1"].data), [-1, 1, -1, 1])
 
 

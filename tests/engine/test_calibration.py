@@ -20,8 +20,8 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate, section_map
 from jaxnh.solvers import SOLVERS, SPLITTINGS
-from jaxnh.systems.flow import NOT_FINITE
 from jaxnh.systems.particle import CHART, disturbed_speed
+from jaxnh.systems.status import NOT_FINITE
 from tests.flows.lorenz import lorenz
 from tests.flows.particle import SYSTEMS, twin
 from tests.helpers import taylor

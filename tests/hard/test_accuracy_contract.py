@@ -129,7 +129,7 @@ def measured(experiment, target, plan, lanes, rng, count):
     u = np.concatenate(starts)[picked]
     own = {name: np.tile(values, len(STRETCHES) - 1)[picked] for name, values in own.items()}
     image = lanes(section_map, (strobe, np.int32(1)), (u, own))
-    error, enlarged = by_taylor(system.flow, own, u, image)
+    error, enlarged = by_taylor(system, own, u, image)
     # Section points hold a state to an ulp, and so do the steps, in a walk of as many as there are drifts: one that
     # passes a point of vanishing speed comes out larger by a million, and with other last bits as another error.
     ulp = np.spacing(np.maximum(np.abs(u).max(axis=1), 1.0))

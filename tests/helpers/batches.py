@@ -7,12 +7,13 @@ import numpy as np
 from jaxnh.analyses.batch import Axis, LaneBatch, broadcast_start
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import SweepPoints
+from jaxnh.maps.section import flow_of
 
 
 def batch_of(system, start, values, solver, steps, compensated=False, error=0.0, *, name="b", **others):
     """A scene of lanes along one axis, all from the same start state of floats."""
     values = np.asarray(values, float)
-    axis = Axis(name, values, system.flow.labels.long_names[name])
+    axis = Axis(name, values, flow_of(system).readout.labels.long_names[name])
     return LaneBatch(
         system,
         broadcast_start(start, len(values)),

@@ -16,8 +16,8 @@ from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.section import Section, begin, reports
 from jaxnh.solvers import ADAPTIVE, SOLVERS
 from jaxnh.systems.first_order import first_order
-from jaxnh.systems.flow import NO_RETURN, NOT_FINITE, OUT_OF_STEPS
 from jaxnh.systems.lagrangian import lagrangian
+from jaxnh.systems.status import NO_RETURN, NOT_FINITE, OUT_OF_STEPS
 from tests.flows import calm_particle, linear_oscillator
 from tests.helpers.cases import some_slow
 from tests.helpers.one_lane import compiled_iterate

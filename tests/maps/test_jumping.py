@@ -20,8 +20,8 @@ from jaxnh.maps.protocol import Tangent
 from jaxnh.solvers import dopri8, nystrom8, tsit5, verner9
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.corners import with_switches
-from jaxnh.systems.flow import CHATTERING
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from jaxnh.systems.status import CHATTERING
 from tests.helpers.one_lane import image_after, state_after, states_after
 
 pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
@@ -336,7 +336,7 @@ def test_chattering_is_a_reason():
     assert state.reason.tolist() == [CHATTERING, 0]
     assert np.isnan(state.y[0][0])
     assert float(state.y[0][1]) == pytest.approx(100.0 - TURN**2 / 2, abs=1e-12)
-    codes = system.reports(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], state))["status"].data
+    codes = system.readout.reports(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], state))["status"].data
     assert codes.tolist() == [CHATTERING, 0]
     for failed in (jnp.array([0.5, 0.0]), jnp.array([jnp.nan, 0.0])):
         z = system.chart.state(failed)

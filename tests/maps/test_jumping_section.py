@@ -16,8 +16,8 @@ from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import dopri8, nystrom8, tsit5
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.first_order import first_order
-from jaxnh.systems.flow import CHATTERING, NO_RETURN
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from jaxnh.systems.status import CHATTERING, NO_RETURN
 from tests.flows.piecewise_circuits import CIRCUITS
 from tests.helpers.one_lane import compiled_iterate
 

@@ -80,7 +80,7 @@ def test_start_is_on_its_way(flow, coordinate, number):
         assert np.abs(one - other).max() < 4 * UNIT
     np.testing.assert_array_equal(system.height(crossing.state), 0.25 - crossing.state[0][number])
     rate = system.rate(jax.tree.map(jnp.asarray, crossing.state), {})
-    velocity = flow.outputs(begun, np.zeros(1))[flow.coordinates[2 * number + 1]].data
+    velocity = flow.readout.coordinates(begun, np.zeros(1))[flow.coordinates[2 * number + 1]].data
     assert np.abs(np.asarray(rate) + velocity).max() < 4 * UNIT
 
 

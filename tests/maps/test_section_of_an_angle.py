@@ -9,8 +9,8 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import tsit5
 from jaxnh.systems.first_order import first_order
-from jaxnh.systems.flow import NO_RETURN
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from jaxnh.systems.status import NO_RETURN
 from tests.helpers.one_lane import compiled_iterate
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")

@@ -14,8 +14,8 @@ from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Tangent
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.solvers.runge_kutta import in_loop
-from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO
 from tests.helpers.cases import some_slow
 from tests.helpers.one_lane import state_after, states_after
 

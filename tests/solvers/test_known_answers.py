@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxnh.maps.second_order import second_order
+from jaxnh.maps.section import flow_of
 from jaxnh.solvers import NYSTROM, RUNGE_KUTTA, SOLVERS, SPLITTINGS
 from tests.flows import (
     calm_particle,
@@ -68,7 +69,7 @@ def make_flow(name):
 
 @pytest.mark.parametrize("name", FLOWS)
 def test_every_flow_has_the_solvers_for_its_kind(name):
-    assert bool(second_order(make_flow(name).system.flow)) == (name in SECOND_ORDER)
+    assert bool(second_order(flow_of(make_flow(name).system))) == (name in SECOND_ORDER)
 
 
 @pytest.mark.parametrize(("name", "solver"), CASES)

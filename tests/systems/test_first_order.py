@@ -117,7 +117,7 @@ def test_circle_on_a_plane(lanes):
 def test_states_that_are_not_finite_are_reported():
     flow = first_order(lorenz.lorenz, lorenz.PARAMETERS)
     states = Point(tuple(np.array([[1.0, 2.0], [1.0, np.nan]]) for _ in range(3)))
-    report = flow.reports(states)["status"]
+    report = flow.readout.reports(states)["status"]
     assert report.data.tolist() == [0, 3]
     assert report.attrs["flag_meanings"].split()[3] == "not_finite"
 
@@ -125,10 +125,10 @@ def test_states_that_are_not_finite_are_reported():
 def test_names_of_states(lanes):
     flow = first_order(pendulum, PENDULUM)
     state = flow.start({"phi": 4.0, "rate": 1.0})
-    outputs = flow.outputs(state, np.zeros(1))
+    outputs = flow.readout.coordinates(state, np.zeros(1))
     assert outputs["phi"].data == pytest.approx(4.0 - 2 * np.pi, abs=1e-15)
     assert outputs["phi"].long_name == "angle phi"
-    assert flow.labels.planes[0] == ("phi", "rate")
+    assert flow.readout.labels.planes[0] == ("phi", "rate")
     assert isinstance(lagrangian(pendulum_by_t_and_q, PENDULUM).start({"phi": 0.0, "phi_dot": 0.0}), Motion)
 
 
@@ -140,10 +140,10 @@ def test_what_decides_the_clock():
         return {"rhs": lambda y, t: (size * jnp.cos(t),), "coordinates": ("x",), "period": period * math.sqrt(4.0)}
 
     flow = first_order(define, {"tilt": 0.1, "pace": 2.0, "size": 1.0})
-    assert [name for name in flow.parameters if flow.is_shared(name)] == ["tilt"]
+    assert [name for name in flow.parameters if flow.roles.is_shared(name)] == ["tilt"]
 
     def plainly(pace=2.0, size=1.0):
         return {"rhs": lambda y, t: (size * jnp.cos(t),), "coordinates": ("x",), "period": math.sqrt(pace)}
 
     flow = first_order(plainly, {"pace": 2.0, "size": 1.0})
-    assert [name for name in flow.parameters if flow.is_shared(name)] == ["pace"]
+    assert [name for name in flow.parameters if flow.roles.is_shared(name)] == ["pace"]

@@ -79,10 +79,10 @@ def test_names():
     """The paper's; the period is shared, and so is what it depends on."""
     flow = free_particle(A, B, OMEGA)
     assert dict(flow.parameters) == {"a": A, "b": B, "omega": OMEGA}
-    assert [name for name in flow.parameters if flow.is_shared(name)] == ["omega"]
+    assert [name for name in flow.parameters if flow.roles.is_shared(name)] == ["omega"]
     assert flow.coordinates == ("x1", "x2", "y1", "y2")
-    assert flow.labels.planes[0] == ("x1", "x2")
-    assert flow.labels.long_names["a"] == "stiffness a"
+    assert flow.readout.labels.planes[0] == ("x1", "x2")
+    assert flow.readout.labels.long_names["a"] == "stiffness a"
     assert flow.period == 2 * math.pi / OMEGA
     assert [free_particle(A, B, OMEGA, names).autonomous for names in ((), ("forcing",), ("damping",))] == [
         False,
@@ -100,5 +100,5 @@ def test_start_and_section_points():
     points = flow.chart.host_points(start)
     np.testing.assert_array_equal(points, np.stack([values[name] for name in ("x1", "y1", "x2", "y2")], axis=-1))
     np.testing.assert_array_equal(points, jax.vmap(flow.chart.point)(jax.tree.map(jnp.asarray, start)))
-    for name, output in flow.outputs(start, np.zeros(1)).items():
+    for name, output in flow.readout.coordinates(start, np.zeros(1)).items():
         np.testing.assert_array_equal(output.data, values[name])

@@ -219,15 +219,16 @@ def test_names(system):
     """Parameters by the paper's names; all lanes share what is in the table of kicks."""
     assert set(system.parameters) == {"a", "c", "d", "omega"}
     assert set(dataclasses.replace(system, b=5.0).parameters) == {"a", "b", "c", "d", "omega"}
-    assert [name for name in ("a", "b", "c", "d", "omega") if system.is_shared(name)] == ["c", "d", "omega"]
+    assert [name for name in ("a", "b", "c", "d", "omega") if system.roles.is_shared(name)] == ["c", "d", "omega"]
     assert system.coordinates == ("x1", "x2", "y1", "y2")
-    assert system.labels.planes[0] == ("x1", "x2")
-    assert system.labels.long_names["b"] == "coupling b"
-    assert {system.labels.long_names[name].rsplit(" ", 1)[1] for name in (*system.coordinates, *system.parameters)} == {
+    assert system.readout.labels.planes[0] == ("x1", "x2")
+    assert system.readout.labels.long_names["b"] == "coupling b"
+    assert {
+        system.readout.labels.long_names[name].rsplit(" ", 1)[1] for name in (*system.coordinates, *system.parameters)
+    } == {
         *system.coordinates,
         *system.parameters,
     }
-    assert system.flow is system
 
 
 @systems

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from jaxnh.solvers import SOLVERS, SPLITTINGS
-from jaxnh.systems.flow import STATUS
 from jaxnh.systems.lagrangian import Equations, Motion, accelerations, lagrangian
+from jaxnh.systems.status import STATUS
 from tests.flows import sleigh
 from tests.flows.paper_equations import constrained_field
 from tests.flows.particle import SYSTEMS
@@ -300,10 +300,10 @@ def test_names():
     """Coordinates with their velocities, parameters with their values; those that the period depends on are shared."""
     assert PENDULUM.coordinates == ("angle", "angle_dot", "place", "place_dot")
     assert dict(PENDULUM.parameters) == {"length": 1.0, "omega": 2.0, "push": 0.3}
-    assert [name for name in (*PENDULUM.parameters, "angle") if PENDULUM.is_shared(name)] == ["omega"]
-    words = [PENDULUM.labels.long_names[name] for name in ("angle", "angle_dot", "place", "push")]
+    assert [name for name in (*PENDULUM.parameters, "angle") if PENDULUM.roles.is_shared(name)] == ["omega"]
+    words = [PENDULUM.readout.labels.long_names[name] for name in ("angle", "angle_dot", "place", "push")]
     assert words == ["angle angle", "velocity angle_dot", "coordinate place", "parameter push"]
-    assert PENDULUM.labels.planes[0] == ("angle", "angle_dot")
+    assert PENDULUM.readout.labels.planes[0] == ("angle", "angle_dot")
     assert PENDULUM.period == math.pi
     assert PENDULUM.chart.dimension == PENDULUM.exponents == 3
 

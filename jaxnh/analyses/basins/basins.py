@@ -34,7 +34,7 @@ from jaxnh.analyses.random_starts import check_box, draw_starts, random_start_ba
 from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
 from jaxnh.maps.section import outputs
-from jaxnh.systems.flow import Output
+from jaxnh.systems.readout import Output
 
 _SAMPLED = 1024  # lanes by which steps are chosen
 _MANY = 16 * _SAMPLED  # lanes of a sweep that are worth it

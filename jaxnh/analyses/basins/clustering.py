@@ -44,7 +44,7 @@ from jaxnh.analyses.basins.settling import (
 from jaxnh.analyses.basins.volume import keeps_volume
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.systems.chart import Chart
-from jaxnh.systems.flow import NOT_FINITE
+from jaxnh.systems.status import NOT_FINITE
 
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
 _FRUITLESS = 4  # times in turn that lanes of one cluster are judged in vain

@@ -16,8 +16,8 @@ from jaxtyping import Float, Int, Int8
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.section_points import points_at, states_at, statuses
 from jaxnh.analyses.window_averages import WindowAverages, average_window, units
-from jaxnh.systems.flow import STATUS
 from jaxnh.systems.state import State, is_finite
+from jaxnh.systems.status import STATUS
 
 SETTLED_TO = 1e-4
 """Difference of means over both halves of a window of a lane that has settled, in sizes of the motion."""

@@ -18,7 +18,8 @@ from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.intervals import normal_quantile
 from jaxnh.analyses.table_arrays import RowPlaces
 from jaxnh.analyses.verdict import KINDS
-from jaxnh.systems.flow import Flow, Output, status
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.readout import Output, status
 
 _MOST_NUMBERS = 1 << 24  # of all points of attractors over the parameters
 _UNDECIDED = ("no", "time", "volume_preserved", "transient")
@@ -93,8 +94,8 @@ def basins_group(
             name: variable(
                 dims,
                 values.reshape(shape),
-                f"{flow.labels.long_names[name]} of the start state",
-                flow.labels.units[name],
+                f"{flow.readout.labels.long_names[name]} of the start state",
+                flow.readout.labels.units[name],
             )
             for name, values in drawn.items()
         },

@@ -16,6 +16,7 @@ from jaxnh.analyses.window_averages import maps
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.section import flow_of
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
@@ -52,7 +53,7 @@ def _mean(strobe: ReturnMap, periods: ArrayLike, state: State, p: Parameters, pa
     chart = strobe.chart
 
     def part(state: State, strobe: ReturnMap) -> tuple[State, Array]:
-        return strobe(state, p), strobe.system.flow.divergence(jnp.zeros_like(state[0][0]), state, p)
+        return strobe(state, p), flow_of(strobe.system).divergence(jnp.zeros_like(state[0][0]), state, p)
 
     def period(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
         state, total, weights = carry

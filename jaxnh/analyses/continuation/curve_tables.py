@@ -79,7 +79,7 @@ def curves_dataset(batch: LaneBatch, axes: Sequence[Axis], followed: CurveSet, m
         filled["condition"] = variable("curve", np.array(said), "condition that cycles keep; of bifurcations none")
     if conditional and batch.flow.autonomous:
         durations = table([curve.durations if isinstance(curve, ConditionCurve) else np.zeros(0) for curve in curves])
-        units = batch.flow.labels.units["t"]
+        units = batch.flow.readout.labels.units["t"]
         filled["duration"] = variable(dims, durations, "time that cycles take that keep a condition", units)
     names = " ".join(axis.name for axis in axes)
     return xr.Dataset(filled, attrs={"max_period": max_period, "over": names})
@@ -139,7 +139,7 @@ def _of_points(batch: LaneBatch, special: Sequence[CurvePoint]) -> dict[str, Ent
     }
     for k, name in enumerate(flow.coordinates):
         values = [np.nan if point.coefficients is None else float(point.point.points[0, k]) for point in special]
-        variables[name] = variable(dim, np.array(values), f"{flow.labels.long_names[name]} of the equilibrium")
+        variables[name] = variable(dim, np.array(values), f"{flow.readout.labels.long_names[name]} of the equilibrium")
     return variables
 
 

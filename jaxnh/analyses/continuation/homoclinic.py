@@ -234,7 +234,7 @@ def _orbits(batch: LaneBatch, curves: Sequence[FollowedConnections]) -> xr.Datas
             path = point.solution.path
             at = np.interp(np.linspace(0.0, 1.0, _SAMPLES), np.linspace(0.0, 1.0, path.mesh.shape[1]), path.mesh[0])
             times[k, i], states[k, i] = point.solution.duration[0] * at, values_at(path, at[None])[0]
-    dims, labels = ("curve", "point", "sample"), batch.flow.labels
+    dims, labels = ("curve", "point", "sample"), batch.flow.readout.labels
     columns = {"t": variable(dims, times, "time from the first state near the saddle", labels.units["t"])}
     for k, name in enumerate(batch.flow.coordinates):
         columns[f"{name}_points"] = variable(dims, states[..., k], labels.long_names[name], labels.units[name])
@@ -245,7 +245,7 @@ def _saddle_columns(batch: LaneBatch, dims: tuple[str, str], along) -> dict[str,
     """States of the saddles that orbits leave and come to."""
     columns: dict[str, Entry] = {}
     for k, name in enumerate(batch.flow.coordinates):
-        words, units = batch.flow.labels.long_names[name], batch.flow.labels.units[name]
+        words, units = batch.flow.readout.labels.long_names[name], batch.flow.readout.labels.units[name]
         for end in ("departure", "arrival"):
             state = along(lambda point, end=end, k=k: getattr(point, end).state[k])
             columns[f"{name}_{end}"] = variable(dims, state, f"{words} at the saddle of {end}", units)

@@ -28,7 +28,7 @@ from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.kinds import KINDS, STABILITIES, stability
 from jaxnh.orbits.continuation.paths import ENDS
-from jaxnh.systems.flow import Output
+from jaxnh.systems.readout import Output
 
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
@@ -86,7 +86,7 @@ def datasets(
         of_branch = {rank[0, k]: duration for k, duration in enumerate(timed)}  # of equilibria there is none
         whole = padded([of_branch.get(k, ()) for k in range(len(order))], branches[axis.name][1].shape[1:])
         words = "time that the cycle takes"
-        branches["duration"] = variable(("branch", "point"), whole, words, batch.flow.labels.units["t"])
+        branches["duration"] = variable(("branch", "point"), whole, words, batch.flow.readout.labels.units["t"])
     branches["not_located"] = variable((), np.int64(lost), "number of bifurcations that could not be located")
     signs = np.full(branches[axis.name][1].shape, -1)
     for family, tree in enumerate(trees):

@@ -155,12 +155,12 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
     with lanes.stage(f"covariant: {batch.count:,} lanes", _following(options, batch.count)):
         motions = _motions(options, batch, lanes)
     settling = options.strobes // _SETTLING
-    neutral = int(batch.flow.autonomous and batch.flow is batch.system)
+    neutral = int(batch.flow.autonomous and not batch.on_section)
     k = batch.flow.exponents - int(batch.flow.autonomous) + neutral
     whole = k == motions.u.shape[2]  # with constraints volumes are those of other coordinates
     vectors = covariant_vectors(motions.matrices, settling, k, motions.volumes if whole else None)
     points, seen = motions.u[:, settling : settling + options.strobes], vectors
-    if batch.flow is not batch.system:
+    if batch.on_section:
         seen = sheared(vectors, shear_along_flow(batch, lanes, points, motions.size, ORBIT_TILE))
     angles = smallest_angles(seen)
     each = _exponents(batch, motions, vectors, settling)
@@ -239,7 +239,7 @@ def _exponents(batch: LaneBatch, motions: Motions, vectors: CovariantVectors, se
     """Return exponents of the vectors and the sums of the first ones, (lanes, 2 k), a unit of time."""
     growth, rounding = (np.concatenate([x, np.cumsum(x, axis=2)], axis=2) for x in (vectors.growth, vectors.rounding))
     count = growth.shape[1]
-    if batch.flow is batch.system:
+    if not batch.on_section:
         time = np.full((len(growth), count), float(batch.flow.period))
     else:  # a return takes a time of its own
         crossings: Any = motions.states

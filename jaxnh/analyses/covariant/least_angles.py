@@ -290,8 +290,7 @@ def _least_and_steepest(
 ) -> tuple[_Points, _Points]:
     (batch, lanes, size, *_), n = scene, scene.n
     path, matrices, sound = _motions_from(scene, u, _PATH * n)
-    section = batch.flow is not batch.system
-    shear = shear_along_flow(batch, lanes, path, size, ORBIT_TILE) if section else None
+    shear = shear_along_flow(batch, lanes, path, size, ORBIT_TILE) if batch.on_section else None
     angles, stretch, along, directions = directions_along(matrices, frames, scene.j, n, shear)
     known = sound[:, None] & (stretch <= _MOST_STRETCH)
     angles, stretch = np.where(known, angles, np.inf), np.where(known, stretch, -np.inf)

@@ -22,7 +22,7 @@ from jaxnh.analyses.orbits.measurement import measure
 from jaxnh.analyses.table_arrays import RowPlaces, ordered_places
 from jaxnh.analyses.verdict import KINDS as MOTIONS
 from jaxnh.orbits.recognition import Cycles, equal_cycles
-from jaxnh.systems.flow import NOT_FINITE, STATUS
+from jaxnh.systems.status import NOT_FINITE, STATUS
 
 OWN_NAMES = (
     "attractor", "pair", "point", "attractor_kind", "attractor_period", "share", "attractors", "kind", "period",

@@ -157,7 +157,7 @@ def _close(
         germs = find_germs(batch, lanes, batch.strobe(), p, orbits.points[good], space.size[lanes_of])
         saddle = np.isfinite(germs.multiplier).reshape(-1, n).all(axis=1)
         own, good = own[good[saddle]], good[saddle]
-        rests = n == 1 and batch.flow is batch.system and batch.flow.autonomous
+        rests = n == 1 and not batch.on_section and batch.flow.autonomous
         states.kind[own], states.period[own] = EQUILIBRIUM if rests else SADDLE_ORBIT, n
         states.points[own, :n] = orbits.points[good]
 

@@ -125,7 +125,7 @@ def averages(
     """
     count, k, lead = batch.count, tangents(options, batch), int(batch.flow.autonomous)
     strobes = period_parts(batch, parts)
-    nodes = quadrature(batch) if batch.flow.contraction and every_exponent(options, batch) else None
+    nodes = quadrature(batch) if batch.flow.readout.contraction and every_exponent(options, batch) else None
     aligning = options.transient // _ALIGNING
     settling = options.transient - aligning
     block = options.periods // BLOCKS

@@ -17,7 +17,8 @@ from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.maps.section import reports
-from jaxnh.systems.flow import NOT_FINITE, status
+from jaxnh.systems.readout import status
+from jaxnh.systems.status import NOT_FINITE
 
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
 _SLOWS = -1.0  # of the same, where it falls in each block: the motion comes to rest slowly
@@ -55,7 +56,7 @@ def dataset(
         # At rest the flow has no direction once its rate has come down to rounding.
         sums = np.where(spectrum.source == SOURCES.index("equilibrium"), mean.sum(axis=1), sums)
         with np.errstate(invalid="ignore"):  # both are minus infinity where a map has a multiplier zero
-            residual = sums - volume[:, 1 if batch.flow.contraction else 0] - area / averaged / period
+            residual = sums - volume[:, 1 if batch.flow.readout.contraction else 0] - area / averaged / period
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
         error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
     attrs: dict[str, Any] = {}
@@ -66,7 +67,7 @@ def dataset(
     exponents, errors = np.take_along_axis(mean, order, axis=1), np.take_along_axis(error, order, axis=1)
     variables = _exponents(batch, spectrum.source, exponents, errors, _reasons(batch, averages, spectrum, exponents))
     rate, divergence = rate_attrs(batch.flow), ""
-    if symbols := batch.flow.contraction:
+    if symbols := batch.flow.readout.contraction:
         divergence = f" −{symbols}"
         words = f"exponent off the constraint, −2{symbols}, by the determinants of the steps"
         variables["transverse"] = variable(LANE, 2.0 * volume[:, 0], words, **rate)

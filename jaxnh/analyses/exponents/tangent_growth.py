@@ -30,6 +30,7 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import LaneStates, State, Vector, is_finite
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
@@ -221,7 +222,7 @@ def advance(
     growth = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]))
     # Where the divergence is a derivative more, it serves the sum rule, and says where the map loses rank.
     system = strobes.system
-    wanted = system.contraction or len(growth.logs) == system.exponents or system.loses_rank
+    wanted = system.readout.contraction or len(growth.logs) == system.exponents or _loses_rank(system)
 
     def period(growth: TangentState) -> TangentState:
         after, _ = lax.scan(lambda growth, strobe: (_pushed(strobe, growth, p, wanted), None), growth, strobes)
@@ -259,13 +260,18 @@ def advance(
     return lax.fori_loop(0, count // together, iterates, growth)
 
 
+def _loses_rank(flow: Flow) -> bool:
+    """Return whether different motions may become one in finite time, so that tangents vanish."""
+    return isinstance(flow, PiecewiseSmooth) and flow.loses_rank
+
+
 def _pushed(strobe: ReturnMap, growth: TangentState, p: Parameters, volume: bool) -> TangentState:
     """A state after one part of a period, its tangents orthonormal, their growth and that of volume in the sums."""
     flow: Flow = strobe.system
     lifted = tuple(Tangent(flow.chart.lift(growth.state, v)) for v in growth.tangents)
     pushed = strobe.pushforward(growth.state, p, lifted, volume)
     moved = [flow.chart.lower(pushed.state, t.state) for t in pushed.tangents]
-    singular = jnp.isneginf(pushed.log_volume) if flow.loses_rank else None
+    singular = jnp.isneginf(pushed.log_volume) if _loses_rank(flow) else None
     if flow.autonomous:
         tangents, grown = _orthonormalise_across(flow, growth.state, pushed.state, moved, p, singular)
     else:
@@ -273,7 +279,7 @@ def _pushed(strobe: ReturnMap, growth: TangentState, p: Parameters, volume: bool
     logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
     largest = jnp.maximum(grown[0], grown[1]) if flow.autonomous else grown[0]
     shrunk, far = largest - grown[-1], jnp.maximum(jnp.abs(largest), jnp.abs(grown[-1]))
-    if flow.loses_rank:  # what has vanished needs no digits
+    if _loses_rank(flow):  # what has vanished needs no digits
         shrunk = jnp.max(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, largest - g) for g in grown]))
         far = jnp.max(jnp.abs(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, g) for g in (largest, grown[-1])])))
     return growth._replace(

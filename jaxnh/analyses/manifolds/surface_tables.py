@@ -17,7 +17,7 @@ from jaxnh.analyses.manifolds.tables import KINDS, SIZES
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.section_points import statuses
 from jaxnh.analyses.table_arrays import RowPlaces, real_and_imaginary
-from jaxnh.systems.flow import status
+from jaxnh.systems.readout import status
 
 LENGTHS = {
     "equilibria": "arc length of the motion from the saddle",

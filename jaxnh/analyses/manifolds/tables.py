@@ -20,7 +20,7 @@ from jaxnh.analyses.manifolds.tangencies import KEPT, Tangencies
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.section_points import statuses
 from jaxnh.analyses.table_arrays import RowPlaces, ordered_places
-from jaxnh.systems.flow import status
+from jaxnh.systems.readout import status
 
 KINDS = ("unstable", "stable")
 """Meanings of the flags 0 and 1 of `branch_kind`."""
@@ -145,7 +145,7 @@ def _of_tangencies(
     at, dims = ordered_places(lane, (batch.count, KEPT)), (LANE, "contact")
     name = options.tangency
     assert name is not None
-    words, unit = batch.flow.labels.long_names[name], {"units": batch.flow.labels.units[name]}
+    words, unit = batch.flow.readout.labels.long_names[name], {"units": batch.flow.readout.labels.units[name]}
     return {
         "tangency": variable(dims, at.put(tangencies.value), f"{words} of tangencies, nearest first", **unit),
         "tangency_error": variable(dims, at.put(tangencies.error), "error of the value", **unit),

@@ -139,7 +139,7 @@ def _time_averages(batch: LaneBatch, lanes: LaneRunner, motion: Float[np.ndarray
 def _variables(batch: LaneBatch, values: Float[np.ndarray, "2 lanes k"], how: str) -> dict[str, Entry]:
     """Return variables of all quantities, or of those but the escape rate, from averages and their errors."""
     rate, flow, k = rate_attrs(batch.flow), batch.flow, values.shape[2]
-    time = {"units": flow.labels.units["t"]} if flow.continuous else {"counted_in": "iterates"}
+    time = {"units": flow.readout.labels.units["t"]} if flow.continuous else {"counted_in": "iterates"}
     variables = dict[str, Entry]()
     names = AVERAGES[:3] if k == 3 else AVERAGES[3:]
     for i, (name, words, attrs) in enumerate(zip(names, _QUANTITIES[-k:], (rate, rate, time)[-k:], strict=True)):

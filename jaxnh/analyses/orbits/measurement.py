@@ -101,7 +101,7 @@ def return_times(
 ) -> Float[np.ndarray, " cycles"]:
     """Return the time that n returns from successive points take, by default of a period each, of orbits or motions."""
     count, n, d = points.shape
-    if batch.flow is batch.system:
+    if not batch.on_section:
         return np.full(count, n * float(batch.flow.period))
     p = {name: np.repeat(values[lane], n) for name, values in batch.p.items()}
     return np.sum(lanes(_return_time, (strobe,), (points.reshape(-1, d), p)).reshape(count, n), axis=1)

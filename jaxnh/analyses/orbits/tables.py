@@ -20,7 +20,8 @@ from jaxnh.analyses.orbits.search import Search
 from jaxnh.analyses.orbits.symmetry import distinct
 from jaxnh.analyses.table_arrays import real_and_imaginary
 from jaxnh.analyses.trajectories.states import section_attrs
-from jaxnh.systems.flow import NOT_FINITE, status
+from jaxnh.systems.readout import status
+from jaxnh.systems.status import NOT_FINITE
 
 AVERAGES = "cycle_escape_rate", "cycle_exponent", "cycle_return_time", "motion_exponent", "motion_return_time"
 """Names of averages: three by cycle expansion, and two in time."""
@@ -78,7 +79,7 @@ def orbits_group(options: OrbitsOptions, lanes: LaneRunner, parts: Sequence[Lane
     batch, dims = parts[0].batch, (LANE, "orbit")
     parts_of = [real_and_imaginary(row.part.measured[row.n].multipliers) for row in rows]
     errors = [row.part.measured[row.n].multipliers_error for row in rows]
-    time, unit = {"units": batch.flow.labels.units["t"]}, iterate_units(batch.system)
+    time, unit = {"units": batch.flow.readout.labels.units["t"]}, iterate_units(batch.system)
     period = whole([np.full(len(row.lane), row.n) for row in rows], 0).astype(np.int32)
     words = "primitive period of the orbit, in returns"
     d = batch.chart.dimension

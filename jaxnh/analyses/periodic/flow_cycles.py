@@ -121,7 +121,7 @@ def path_lift(flow: Flow, path: PiecewisePath) -> Float[np.ndarray, " d"]:
 
 def duration_of(batch: LaneBatch, lanes: LaneRunner, points: Float[np.ndarray, "n d"]) -> float:
     """Time that the orbit of a batch of one lane takes, by its points."""
-    if batch.flow is batch.system:
+    if not batch.on_section:
         return len(points) * batch.flow.period
     start = (states_at(batch, lanes, points[:1]), dict(batch.p))
     return float(np.asarray(lanes.iterate(batch.strobe(), len(points), start, tile=_TILE).t)[0])
@@ -133,7 +133,7 @@ def _times_and_states(
     """Times and states around an orbit, close together where it turns; all coordinates of the flow."""
     n, p, flow = len(points), dict(batch.p), batch.without_section()
     state, duration = states_at(batch, lanes, points[:1]), duration_of(batch, lanes, points)
-    if batch.flow is not batch.system:
+    if batch.on_section:
         state = state.state
     if not np.isfinite(duration) or duration <= 0.0:
         return np.zeros(1), np.zeros((1, batch.flow.chart.dimension))

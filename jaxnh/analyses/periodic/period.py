@@ -16,7 +16,7 @@ from jaxnh.analyses.periodic.phase_response import check_phase_response, phase_r
 from jaxnh.analyses.periodic.sensitivities import lane_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import sensitivity_variables
 from jaxnh.analyses.price import newton_price
-from jaxnh.systems.flow import status
+from jaxnh.systems.readout import status
 
 
 def check(options: PeriodOptions, setting: Setting) -> None:
@@ -54,7 +54,7 @@ def _sensitivities(batch: LaneBatch, lanes: LaneRunner, attractors: Survey) -> d
     derived, words = lane_sensitivities(batch, lanes, attractors), "the largest modulus of the multipliers"
     variables = sensitivity_variables(derived.multiplier, batch, LANE, "multiplier", words, "1")
     if derived.time is not None:
-        words, units = "the time that the orbit takes", batch.flow.labels.units["t"]
+        words, units = "the time that the orbit takes", batch.flow.readout.labels.units["t"]
         variables["time"] = variable(LANE, derived.times, words, units)
         variables |= sensitivity_variables(derived.time, batch, LANE, "time", words, units)
     return variables

@@ -71,7 +71,7 @@ def phase_response_variables(batch: LaneBatch, lanes: LaneRunner, attractors: Su
     """Variables over (lane, phase): states of limit cycles, and the derivatives of the phase in each coordinate."""
     with lanes.stage(f"period: phase responses of {np.count_nonzero(attractors.period)} lanes", 0):
         known = _phase_responses(batch, lanes, attractors, count)
-    labels, dims = batch.flow.labels, (LANE, "phase")
+    labels, dims = batch.flow.readout.labels, (LANE, "phase")
     units = labels.units["t"]
     variables = {
         "phase": variable("phase", 2 * np.pi * np.arange(count) / count, "phase after the section", "rad"),

@@ -20,7 +20,7 @@ from jaxnh.analyses.periodic.location import LocatedDoubling, refined_maps
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.iterate import Derivatives, return_time
-from jaxnh.maps.section import System, with_parameters
+from jaxnh.maps.section import System, flow_of, with_parameters
 from jaxnh.orbits.bifurcations.sensitivities import (
     OrbitMotion,
     ShiftedMap,
@@ -89,7 +89,7 @@ Rates = Callable[[Sequence[Float[np.ndarray, "n d d"]], Sequence[Sequence[OrbitM
 def parameter_names(batch: LaneBatch) -> tuple[str, ...]:
     """Return the names of all parameters of a batch's flow, the first axis first."""
     axis = (batch.axis.name,) if batch.axis else ()
-    return tuple(dict.fromkeys((*axis, *batch.flow.equation_parameters, *batch.p)))
+    return tuple(dict.fromkeys((*axis, *batch.flow.roles.of_equations, *batch.p)))
 
 
 def sensitivities(
@@ -214,7 +214,7 @@ class LaneSensitivities(NamedTuple):
 
 def lane_sensitivities(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> LaneSensitivities:
     """Derivatives of the largest multiplier of every lane's orbit, and without a clock of the time that it takes."""
-    timed = batch.flow is not batch.system
+    timed = batch.on_section
     names, count = parameter_names(batch), len(survey.period)
     orbits = [_lane_orbits(batch, lanes, strobe, survey) for strobe in refined_maps(batch)[:2]]
     on_orbit = np.flatnonzero(np.all([[orbit is not None for orbit in each] for each in orbits], axis=0))
@@ -297,7 +297,7 @@ def shifted_batch(batch: LaneBatch, name: str, shift: float) -> LaneBatch:
 
 
 def _moved(system: System, name: str, shift: float) -> System:
-    return with_parameters(system, {name: np.asarray(system.flow.parameters[name], float) + shift})
+    return with_parameters(system, {name: np.asarray(flow_of(system).parameters[name], float) + shift})
 
 
 def is_own(batch: LaneBatch, name: str) -> bool:

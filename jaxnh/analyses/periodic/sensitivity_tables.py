@@ -8,7 +8,7 @@ import xarray as xr
 from jaxnh.analyses.base import Entry, variable
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.periodic.sensitivities import Sensitivities
-from jaxnh.systems.flow import UNSAID
+from jaxnh.systems.readout import UNSAID
 
 
 def sensitivity_variables(
@@ -22,7 +22,7 @@ def sensitivity_variables(
         dim: of the numbers.
         name, words, units: of the number.
     """
-    each = {parameter: batch.flow.labels.units.get(parameter, UNSAID) for parameter in sensitivities.names}
+    each = {parameter: batch.flow.readout.labels.units.get(parameter, UNSAID) for parameter in sensitivities.names}
     common = units if set(each.values()) <= {"1"} else UNSAID
     said = ", ".join(f"{parameter} in {unit}" for parameter, unit in each.items() if unit not in (UNSAID, "1"))
     more = {"comment": f"units of the number over those of the parameter: {said}"} if said else {}

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.base import OptionError
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.maps.section import Crossing, Section, System
+from jaxnh.maps.section import Crossing, Section, System, flow_of
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.reversal import (
     EXACT,
@@ -156,8 +156,8 @@ def _describe_failure(batch: LaneBatch) -> str:
 
 def _image(system: System, signs: Vector | None, state: State, p: Parameters) -> State:
     if isinstance(state, Crossing):
-        return state._replace(state=reverse(system.flow, signs, state.state, p))
-    return reverse(system.flow, signs, state, p)
+        return state._replace(state=reverse(flow_of(system), signs, state.state, p))
+    return reverse(flow_of(system), signs, state, p)
 
 
 def image_of_point(system: System, signs: Vector | None, u: Float[Array, " d"], p: Parameters) -> Float[Array, " d"]:

@@ -62,8 +62,8 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import AdaptiveMethod
-from jaxnh.systems.flow import status
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.readout import status
 from jaxnh.systems.reversal import declared_reversal, describe_reversal
 
 KINDS = ("conservative", "dissipative", "mixed", "undecided", "irreversible", "failed")

@@ -84,7 +84,7 @@ class CurveTable:
 
 def _directions(batch: LaneBatch) -> int:
     """Exponents of motions on a curve of the map: those of the flow, on a section but for the one along it."""
-    return batch.flow.exponents - int(batch.flow.autonomous and batch.flow is not batch.system)
+    return batch.flow.exponents - int(batch.flow.autonomous and batch.on_section)
 
 
 def _kind(growth: Float[np.ndarray, " k-1"], error: Float[np.ndarray, " k-1"]) -> str:

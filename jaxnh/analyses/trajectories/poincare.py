@@ -51,10 +51,10 @@ def run(options: PoincareOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
         start = settle_lanes(lanes, strobe, options.transient, start, p, TILE)
         states = strobe_states(lanes, strobe, start, p, options.strobes, TILE)
     variables = {}
-    if batch.flow is batch.system:  # else every crossing has its own time
+    if not batch.on_section:  # else every crossing has its own time
         time = batch.flow.period * (options.transient + np.arange(options.strobes))
         words = "time since the start" if batch.flow.continuous else "number of iterates since the start"
-        variables["t"] = variable("strobe", time, words, batch.flow.labels.units["t"])
+        variables["t"] = variable("strobe", time, words, batch.flow.readout.labels.units["t"])
     at = np.zeros(1), (LANE, "strobe"), {"coordinates": "t"}
     variables |= state_variables(batch.system, states, *at)
     variables |= output_variables(options.outputs or (), lanes, batch.system, states, p, *at)

@@ -58,7 +58,7 @@ def run(options: PortraitOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     elapsed = np.arange(options.periods * options.samples) / options.samples
     time = batch.flow.period * (options.transient + elapsed)
     variables = {
-        "t": variable("time", time, "time since the start", batch.flow.labels.units["t"]),
+        "t": variable("time", time, "time since the start", batch.flow.readout.labels.units["t"]),
         **state_variables(batch.system, states, in_period, (LANE, "time"), {"coordinates": "t"}),
         **output_variables(
             options.outputs or (), lanes, batch.system, states, p, in_period, (LANE, "time"), {"coordinates": "t"}

@@ -13,10 +13,11 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Entry, OptionError, Setting, as_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
-from jaxnh.maps.section import Crossing, Section, System, outputs, plot_plane, reports
-from jaxnh.systems.flow import STATUS, Parameters
+from jaxnh.maps.section import Crossing, Section, System, flow_of, outputs, plot_plane, reports
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.mechanical_outputs import describe_output, evaluate_outputs, output_names
 from jaxnh.systems.state import State
+from jaxnh.systems.status import STATUS
 
 TILE = 16
 """Lanes a tile where few lanes are followed for long: small tiles take a period sooner."""
@@ -47,13 +48,14 @@ def state_variables(
         dims: names of the dimensions.
         attrs: attributes of each variable but the time.
     """
-    coordinates = outputs(system.flow, states, t)
+    flow = flow_of(system)
+    coordinates = outputs(flow, states, t)
     coordinates = {**{name: coordinates[name] for name in plot_plane(system)}, **coordinates}
     variables = {
         name: as_variable(dims, output, **(attrs if attrs and name != "t" else {}))
         for name, output in coordinates.items()
     }
-    return variables | {name: as_variable(dims[:-1], output) for name, output in reports(system.flow, states).items()}
+    return variables | {name: as_variable(dims[:-1], output) for name, output in reports(flow, states).items()}
 
 
 def check_outputs(names: Sequence[str], setting: Setting) -> None:
@@ -88,7 +90,7 @@ def output_variables(
     """
     if not names:
         return {}
-    flow = system.flow
+    flow = flow_of(system)
     states = states.state if isinstance(states, Crossing) else states
     known, points = output_names(flow), jax.tree.leaves(states)[0].shape[-1]
     made = [variable for name in names for variable in known[name]]

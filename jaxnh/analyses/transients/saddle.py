@@ -123,7 +123,7 @@ def _growth(
     """
     points = points_at(batch, lanes, states)
     motions, _, d = points.shape
-    count, k = int((first + width).max()), batch.flow.exponents - int(batch.flow is not batch.system)
+    count, k = int((first + width).max()), batch.flow.exponents - int(batch.on_section)
     needed = np.arange(count) < (first + width)[:, None]
     matrices, volumes = np.tile(np.eye(d), (motions, count, 1, 1)), np.ones((motions, count))
     if needed.any():  # else all have left at once

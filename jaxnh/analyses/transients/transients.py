@@ -21,7 +21,7 @@ from jaxnh.analyses.transients.saddle import MOTIONS, POINTS, Saddle, find_saddl
 from jaxnh.analyses.transients.stagger import saddle_orbits
 from jaxnh.maps.iterate import derivative_and_volume
 from jaxnh.maps.section import outputs
-from jaxnh.systems.flow import status
+from jaxnh.systems.readout import status
 
 _USUAL = 64  # periods that most motions stay, for the expected work
 _STAGGERED = 1024  # periods of tries for a point by stagger and step
@@ -74,8 +74,8 @@ def run(options: TransientsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.D
             name: variable(
                 (LANE, "start"),
                 values.reshape(shape),
-                f"{flow.labels.long_names[name]} of the start state",
-                flow.labels.units[name],
+                f"{flow.readout.labels.long_names[name]} of the start state",
+                flow.readout.labels.units[name],
             )
             for name, values in drawn.items()
         },

@@ -42,7 +42,8 @@ from jaxnh.analyses.trajectories.states import check_outputs, output_variables, 
 from jaxnh.analyses.transport.statistics import Diffusion, EstimateWithError, diffusion, growth_exponent
 from jaxnh.maps.section import outputs, reports
 from jaxnh.systems.definition import DefinedFlow
-from jaxnh.systems.flow import UNSAID, Flow, status
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.readout import UNSAID, status
 from jaxnh.systems.state import State
 
 GROWTH = ("bounded", "growing", "decaying", "undecided", "failed")
@@ -184,7 +185,7 @@ def _diffusion(
     still = made.extent <= rounding**2
     kind = np.where(failed > 0, PATHS.index("failed"), judge_path(made.exponent, still))
     normal, fine = kind == PATHS.index("normal"), failed == 0
-    units = {flow.labels.units[name] for name in names}
+    units = {flow.readout.labels.units[name] for name in names}
     unit, time = units.pop() if len(units) == 1 else UNSAID, flow.period
     path = " and ".join(names)
     counted = {key: value for key, value in rate_attrs(flow).items() if key == "counted_in"}
@@ -192,7 +193,7 @@ def _diffusion(
     variables: dict[str, Entry] = {}
     for number, name in enumerate(names):
         drift, error = (np.where(fine, each[number] / time, np.nan) for each in made.drift)
-        its = _units(flow.labels.units[name], 1, rate_attrs(flow)["units"])
+        its = _units(flow.readout.labels.units[name], 1, rate_attrs(flow)["units"])
         variables[f"{name}_drift"] = variable(LANE, drift, f"mean rate of {name}", its, **counted)
         variables[f"{name}_drift_error"] = variable(LANE, error, f"error of the mean rate of {name} at 95 %", its)
     power, power_error = (np.where(fine & ~still, each, np.nan) for each in made.exponent)

@@ -27,6 +27,7 @@ from jaxnh.engine.axes import SweepPoints
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError, LostLaneError
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.maps.section import flow_of
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
@@ -141,7 +142,7 @@ class Calibration:
             candidates: solvers to choose from, by default those of the way.
         """
         self._maps = maps
-        flow, scheme = maps.flows[0].flow, maps.scheme
+        flow, scheme = maps.flow, maps.scheme
         # Without a clock every step starts and ends by itself: no processor around many, no sums over them.
         solvers = candidates or scheme.solvers(flow, self._precision)
         self._candidates = tuple(s for s in solvers if not (flow.autonomous and s.processor[1]))
@@ -160,7 +161,7 @@ class Calibration:
         Returns:
             Whether it helps: not where that is tried already, or is for no flow of this kind.
         """
-        flow = maps.flows[0].flow
+        flow = maps.flow
         jumps = isinstance(flow, PiecewiseSmooth) and flow.needs_events  # which those steps know nothing of
         if maps.adaptive or maps.scheme.smooth or jumps or self._precision != "float64":
             return False
@@ -285,7 +286,7 @@ class Calibration:
         worst, parts = self._largest_at(errors), self._maps.parts
         error, sample = float(errors[worst]), self._samples.take_lanes(np.array([worst]))
         system = self._maps.flows[int(sample.row[0])]
-        flow, what, why = system.flow, "one period", ""
+        flow, what, why = flow_of(system), "one period", ""
         length = flow.period / parts
         if self._maps.sectioned:
             lengths = np.abs(self._reference.image[-1] - self._samples.states.t)

@@ -21,7 +21,8 @@ from jaxnh.engine.accuracy.kinks import find_kink
 from jaxnh.engine.accuracy.rounding import is_rounding, last_digit
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
 from jaxnh.engine.accuracy.sizes import coordinate_names
-from jaxnh.maps.section import Section, System
+from jaxnh.maps.section import Section, System, flow_of
+from jaxnh.systems.degeneracy import describe_near_singularity, describe_singularity
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, is_finite
 from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
@@ -45,8 +46,7 @@ def fault_of(system: System, state: State, p: Parameters, first_look: str = "") 
     """
     if why := lost_rank(system, state, p):
         return why
-    flow = system.flow
-    state = state if flow is system else state.state
+    flow, state = flow_of(system), state.state if isinstance(system, Section) else state
     alone = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
     if (fastest := _fastest_rate(flow, np.zeros(1), alone, p) * flow.period) > _STIFF:
         time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
@@ -60,9 +60,10 @@ def fault_of(system: System, state: State, p: Parameters, first_look: str = "") 
 
 def lost_rank(system: System, state: State, p: Parameters) -> str:
     """Explain what matrix is singular at a state, floats, or on the motion from it; "" where there is none."""
-    flow = system.flow
-    state = state if flow is system else state.state
-    return flow.fault_at(0.0, state, p) or flow.near_degeneracy(*_motion(flow, state, p, flow.period), p)
+    flow, state = flow_of(system), state.state if isinstance(system, Section) else state
+    return describe_singularity(flow, 0.0, state, p) or describe_near_singularity(
+        flow, *_motion(flow, state, p, flow.period), p
+    )
 
 
 def explain_long_returns(section: System, lengths: Float[np.ndarray, " samples"], worst: int) -> str:
@@ -85,7 +86,7 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
         length: of its motion; by default a period or unit of time, or the part of it that maps go over.
     """
     flow, times, passed, p = _motion_of(maps, sample, length)
-    if why := flow.near_degeneracy(times, passed, p):
+    if why := describe_near_singularity(flow, times, passed, p):
         return why
     if not np.all(finite := is_finite(passed)):
         fastest = _fastest_rate(flow, times[:1], jax.tree.map(lambda leaf: leaf[:1], passed), p)
@@ -118,11 +119,11 @@ def explain_rounding(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray,
     if not is_rounding(maps, sample, sizes, error):
         return ""
     name, value, digit, change = last_digit(maps, sample, sizes)
-    size = sizes[coordinate_names(maps.flows[0].flow).index(name)]
+    size = sizes[coordinate_names(maps.flow).index(name)]
     words = f"that is rounding: {name} = {value:.4g} has a last digit of {digit:.1g}"
     if change * size < _MODERATE * digit and abs(value) > _LARGE * size:
         return f"{words}, and moves by {size:.2g} only; let it begin nearer to zero, or ask for less"
-    autonomous = maps.flows[0].flow.autonomous
+    autonomous = maps.flow.autonomous
     unit = "return" if maps.sectioned else "unit of time" if autonomous else "period"
     remedy = "take a section that is met more often, or ask for less" if maps.sectioned else "ask for less"
     return f"{words}, which a {unit} makes {change:.1g} of the size of the motion; {remedy}"
@@ -148,10 +149,11 @@ def _motion_of(
 ) -> tuple[Flow, np.ndarray, State, Parameters]:
     """The flow of a sample of one state, times and states of its motion, and its parameters."""
     system = maps.flows[int(sample.row[0])]
-    length = system.flow.period / maps.parts if length is None else length
+    flow = flow_of(system)
+    length = flow.period / maps.parts if length is None else length
     first = jax.tree.map(lambda leaf: leaf[0], sample)
-    state = first.states if system.flow is system else first.states.state
-    return system.flow, *_motion(system.flow, state, first.p, length, steps), first.p
+    state = first.states.state if maps.sectioned else first.states
+    return flow, *_motion(flow, state, first.p, length, steps), first.p
 
 
 def _motion(flow: Flow, y: State, p: Parameters, length: float, steps: int = _ROUGHLY) -> tuple[np.ndarray, State]:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
 from jaxnh.maps.batching import as_batched
+from jaxnh.maps.section import flow_of
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components
 
@@ -101,7 +102,7 @@ def follow(maps: SampleMaps, samples: Samples, length: float | None = None) -> P
         few = few._replace(states=few.states.state)
 
     def shared(row: int) -> tuple[Flow, float]:
-        flow = maps.flows[row].flow
+        flow = flow_of(maps.flows[row])
         return flow, flow.period if length is None else length
 
     return Passage(*maps.by_flow(_follow, shared, few, 1))
@@ -109,7 +110,7 @@ def follow(maps: SampleMaps, samples: Samples, length: float | None = None) -> P
 
 def first_look(maps: SampleMaps, samples: Samples, periods: float = 1.0) -> FirstLook:
     """Look whether motions come through so many periods, or units of time, and how many steps one takes."""
-    length = periods * maps.flows[0].flow.period
+    length = periods * maps.flow.period
     passage = follow(maps, samples, None if periods == 1.0 else length)
     arrived = passage.arrived >= 1.0
     if np.any(arrived):

@@ -86,7 +86,8 @@ def find_kink(
         if step is not None:
             at = jax.tree.map(lambda a, b, i=step, s=share: a[i] + s * (b[i] - a[i]), begin, end)
             place = ", ".join(
-                f"{name} = {float(output.data):.4g}" for name, output in flow.outputs(at, np.zeros(1)).items()
+                f"{name} = {float(output.data):.4g}"
+                for name, output in flow.readout.coordinates(at, np.zeros(1)).items()
             )
             time = ends[0][step] + share * (ends[1][step] - ends[0][step])
             where = f"at t = {time:.4g}, {place}"

@@ -46,7 +46,7 @@ def last_digit(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray, " com
     """Change the last digit of each coordinate of one sample, and return the one whose change grows most."""
     steps = max(1, maps.scheme.reference.most_steps(maps.tried) // 2)
     leaves, structure = jax.tree.flatten(sample.states)
-    names = coordinate_names(maps.flows[0].flow)
+    names = coordinate_names(maps.flow)
     image = _image(maps, sample, steps)
     changes = []
     for i in range(len(names)):

@@ -15,10 +15,10 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import ADAPTIVE_SCHEME, Scheme, make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.maps.section import System
+from jaxnh.maps.section import Section, System, flow_of
 from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.solvers.runge_kutta import in_loop
-from jaxnh.systems.flow import Parameters
+from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components
 
 Image = list[np.ndarray]
@@ -66,20 +66,24 @@ class SampleMaps:
         self, flows: Sequence[System], lanes: LaneExecutor, parts: int = 1, scheme: Scheme | None = None
     ) -> None:
         """Take flows of one kind, which no map has been made of; by default in their kind's own way."""
-        self.flows, self.scheme, self.parts = flows, scheme or scheme_of(flows[0].flow), parts
+        self.flows, self.scheme, self.parts = flows, scheme or scheme_of(flows[0]), parts
         self.tried = 0
         self._lanes, self._said = lanes, time.monotonic()
 
     @property
     def sectioned(self) -> bool:
         """Return whether maps go from crossing to crossing of a section."""
-        return self.flows[0] is not self.flows[0].flow
+        return isinstance(self.flows[0], Section)
+
+    @property
+    def flow(self) -> Flow:
+        """The first of the flows in continuous time."""
+        return flow_of(self.flows[0])
 
     @property
     def may_be_cut(self) -> bool:
         """Return whether maps are over a unit of time that says nothing of the motion, as without clock and section."""
-        flow = self.flows[0].flow
-        return flow.autonomous and not self.sectioned and not flow.chart.dimensionless
+        return self.flow.autonomous and not self.sectioned and not self.flow.chart.dimensionless
 
     def in_parts(self, parts: int) -> SampleMaps:
         """Return maps of the same flows over one of so many parts of a unit of time."""
@@ -108,7 +112,7 @@ class SampleMaps:
         @functools.lru_cache(_MAPS_KEPT)
         def map_of(row: int) -> ReturnMap:
             flow = self.flows[row]
-            span = (0.0, flow.flow.period / self.parts) if self.parts > 1 else None
+            span = (0.0, self.flow.period / self.parts) if self.parts > 1 else None
             return make_return_map(flow, in_loop(solver), steps, compensated=compensated, span=span)
 
         return map_of

@@ -21,9 +21,10 @@ from jaxnh.exceptions import AccuracyError, LostLaneError
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.solvers import Solver
-from jaxnh.systems.flow import CHATTERING, CODIMENSION_TWO, NO_RETURN, Parameters
+from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint
 from jaxnh.systems.state import State
+from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO, NO_RETURN
 
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
 _AT_REST = 1e-6  # of a lane's fastest crossing
@@ -177,7 +178,7 @@ def _longest_return(maps: SampleMaps, states: State) -> float | None:
     with np.errstate(invalid="ignore"):
         returns = np.diff(states.t, axis=1)
     longest = _RETURNS_FOLLOWED * float(np.max(returns, initial=0.0, where=np.isfinite(returns)))
-    return max(longest, maps.flows[0].flow.period)
+    return max(longest, maps.flow.period)
 
 
 def _lost_rank(maps: SampleMaps, start: Samples, states: State, lane: int) -> str:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.engine.accuracy.first_look import follow
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, image_of
-from jaxnh.maps.section import Crossing, Section, System
+from jaxnh.maps.section import Crossing, Section, System, flow_of
 from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components
@@ -38,22 +38,22 @@ _LESS_EXACT = 100.0  # times what they differ by in others, at least
 
 def coordinate_names(system: System) -> tuple[str, ...]:
     """Names of the components that errors are compared in; on a section the time of the crossing, t, is the last."""
-    flow = system.flow
+    flow = flow_of(system)
     numbered = image_of(flow.start({name: float(i) for i, name in enumerate(flow.coordinates)}))
     names = tuple(flow.coordinates[int(number)] for number in numbered)
-    return names if system is flow else (*names, "t")
+    return (*names, "t") if isinstance(system, Section) else names
 
 
 def sizes_by_name(system: System, sizes: Float[np.ndarray, " components"]) -> dict[str, float]:
     """Sizes by coordinate; none of a system whose errors are absolute."""
-    if system.flow.chart.dimensionless:
+    if flow_of(system).chart.dimensionless:
         return {}
     return dict(zip(coordinate_names(system), sizes.tolist(), strict=True))
 
 
 def rough_sizes(maps: SampleMaps, start: Image, image: Image) -> Float[np.ndarray, " components"]:
     """Sizes for a first look: moduli at the start and a period later, and of what vanishes a share of the largest."""
-    if maps.flows[0].flow.chart.dimensionless:
+    if maps.flow.chart.dimensionless:
         return np.ones(len(start))
     sizes = _median_of_positive(np.maximum(np.abs(np.stack(start)), np.abs(np.stack(image))))
     return _one_for_none(np.maximum(sizes, _VANISHES * np.max(sizes)))
@@ -75,7 +75,7 @@ def measure_sizes(
         given: sizes by coordinate, in place of those measured.
     """
     system = maps.flows[0]
-    if system.flow.chart.dimensionless:
+    if maps.flow.chart.dimensionless:
         return np.ones(len(changes))
     values = np.where(escaping, np.nan, np.stack(image_of(paths.states)))
     moduli, later = np.abs(values), ~np.all(escaping[:, _FIRST:], axis=1)
@@ -99,7 +99,7 @@ def measure_sizes(
         sizes[-1] = steps[-1]
     sizes = np.where(_is_rounding(sizes, changes), np.max(sizes), _one_for_none(sizes))
     for component, name in enumerate(coordinate_names(system)):
-        sizes[component] = given.get(name, 1.0 if name in _angles(system.flow) else sizes[component])
+        sizes[component] = given.get(name, 1.0 if name in _angles(maps.flow) else sizes[component])
     return sizes
 
 
@@ -160,7 +160,7 @@ def _runs(values: Float[np.ndarray, "lanes periods"]) -> bool:
 def _is_free(maps: SampleMaps, paths: Samples, escaping: Bool[np.ndarray, "lanes periods"], component: int) -> bool:
     """Return whether a turn of a coordinate changes no rate: it is an angle, or does not enter at all."""
     leaves, structure = jax.tree.flatten(paths.states)
-    if component >= len(coordinate_names(maps.flows[0].flow)):
+    if component >= len(coordinate_names(maps.flow)):
         return False
     rates = []
     for turned in (0.0, math.pi, 2 * math.pi):
@@ -195,7 +195,7 @@ def _rates(system: System, states: State, p: Parameters) -> State:
 
     def rates(y: State) -> tuple[Array, ...]:
         inner = y.state if isinstance(system, Section) and isinstance(y, Crossing) else y
-        rate = error_components(system.flow.rhs(jnp.zeros_like(inner[0][0]), inner, p))
+        rate = error_components(flow_of(system).rhs(jnp.zeros_like(inner[0][0]), inner, p))
         time = (jnp.ones_like(y.t),) if isinstance(y, Crossing) else ()
         return *jax.tree.leaves(rate), *time
 

@@ -257,12 +257,12 @@ class Experiment(Config, frozen=True):
                 kind = "start"
             elif self._is_shared(name, values, flow):
                 kind = "shared"
-            axes.append(Axis(name, values, flow.labels.long_names[name], kind, flow.labels.units[name]))
+            axes.append(Axis(name, values, flow.readout.labels.long_names[name], kind, flow.readout.labels.units[name]))
         return tuple(axes)
 
     def _is_shared(self, name: str, values: Float[np.ndarray, " n"], flow: Flow) -> bool:
         """Return whether all lanes of a program must have the same of these values of a parameter."""
-        return flow.is_shared(name)
+        return flow.roles.is_shared(name)
 
     @property
     def autonomous(self) -> bool:

@@ -45,7 +45,7 @@ class UserExperiment(UserConfig, Experiment, frozen=True):
         if self._file.discrete:
             self.check_map()
         self.check_clock(not self.autonomous)
-        check_events(self.flow().flow, self.accuracy.solver, self.precision)
+        check_events(self.flow(), self.accuracy.solver, self.precision)
         super()._try_out()
 
     def _flow(self, parameters: Mapping[str, float]) -> UserFlow:
