@@ -436,6 +436,12 @@ def no_row(data, _):
     assert data["period"].size == 0
 
 
+def no_branch(data, _):
+    """None is there, and what was looked at is said."""
+    assert data["period"].size == 0
+    assert "looked at orbits of period" in data.attrs["warnings"]
+
+
 def nothing_periodic(data, groups):
     """No orbit of a flow that keeps volume attracts. Whether a chaotic sea is called an attractor is left open here."""
     del data
@@ -940,7 +946,7 @@ KINDS = {
             "verdict": words("undecided", "quasiperiodic", "chaotic"),
             "doubling": none_found,
             "windows": no_row,
-            "branches": no_row,
+            "branches": no_branch,
             "curves": ONE_PARAMETER.format("b"),
             "atlas": ONE_PARAMETER.format("b"),
             "homoclinic": SADDLES_OVER_ONE.format("b"),

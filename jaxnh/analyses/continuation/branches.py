@@ -123,7 +123,17 @@ def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: 
     points = (data[f"lane_{name}"].to_numpy() for name in SettledOrbits._fields)
     settled = SettledOrbits(*(x.reshape(-1, *x.shape[len(sweep.axes) :])[order] for x in points))
     grown = grow_branches(options, batch, lanes, settled)
-    return datasets(lanes, grown, options.max_period, derived=bool(options.sensitivities))
+    searched = _searched(options, batch.count)
+    return datasets(lanes, grown, options.max_period, derived=bool(options.sensitivities), searched=searched)
+
+
+def _searched(options: BranchesOptions, lanes: int) -> str:
+    """Say what was looked at."""
+    starts = f" and at {options.n_starts} random starts at each of {min(options.n_values, lanes)} values"
+    return (
+        f"looked at orbits of period {options.max_period} at most that {lanes} lanes settle on"
+        f"{starts if options.n_starts else ''}"
+    )
 
 
 def grow_branches(

@@ -58,7 +58,12 @@ class FollowedBranches(NamedTuple):
 
 
 def datasets(
-    lanes: LaneRunner, grown: Sequence[FollowedBranches], max_period: int, *, derived: bool = False
+    lanes: LaneRunner,
+    grown: Sequence[FollowedBranches],
+    max_period: int,
+    *,
+    derived: bool = False,
+    searched: str = "",
 ) -> dict[str, xr.Dataset]:
     """Both groups: branches in the order of their periods, bifurcations in that of the parameter.
 
@@ -67,6 +72,7 @@ def datasets(
         grown: first the orbits, then, where there are any, the equilibria, whose period is 0.
         max_period: the largest period of the orbits that are followed.
         derived: whether bifurcations have derivatives in the other parameters.
+        searched: what was looked at, in words, for where nothing is there.
     """
     batch = grown[0].batch
     axis, trees = batch.first_axis, [part.tree for part in grown]
@@ -79,7 +85,7 @@ def datasets(
         "max_period": max_period,
         "along": axis.name,
         "method": "shooting" if grown[0].durations is None else "collocation",
-        **({"warnings": words} if (words := _warnings(axis, trees)) else {}),
+        **({"warnings": words} if (words := _warnings(axis, trees, searched)) else {}),
     }
     lost = sum(len(tree.lost) for tree in trees)
     if (timed := grown[0].durations) is not None:
@@ -126,10 +132,10 @@ def _period(part: FollowedBranches, points: int) -> int:
     return 0 if part.family.field else points
 
 
-def _warnings(axis: Axis, trees: Sequence[Tree]) -> str:
+def _warnings(axis: Axis, trees: Sequence[Tree], searched: str) -> str:
     """Lines for the user."""
     if not trees[0].branches:
-        return f"branches: there is no periodic orbit to follow along {axis.name}"
+        return f"branches: there is no periodic orbit to follow along {axis.name}{searched and '; '}{searched}"
     lines = list[str]()
     if lost := sum(len(tree.lost) for tree in trees):
         lines.append(f"branches: {lost} sign changes of test functions led to no bifurcation that could be located")
