@@ -216,7 +216,7 @@ def test_defaults_go_with_everything_along_a_parameter():
         for analysis in ANALYSES.values():
             # Branches and windows are along one axis, curves over two that lanes may differ in.
             along = {"branches": (LANES_B,), "windows": (LANES_B,)}
-            along |= dict.fromkeys(("curves", "atlas"), (LANES_B, LANES_A))
+            along |= {"torus_branches": (LANES_B,)} | dict.fromkeys(("curves", "atlas"), (LANES_B, LANES_A))
             axes = along.get(analysis.name, setting.axes)
             if analysis.name not in (*IN_A_BOX, "transport"):
                 analysis.check(analysis.options(), setting._replace(axes=axes))
