@@ -117,3 +117,21 @@ def test_branches_where_all_lanes_rest(tmp_path, method):
         assert min(gaps) < 1e-7
         assert (mu.min(), mu.max()) == (-0.2, -0.05)
     assert sides == {0, 1}
+
+
+@pytest.mark.parametrize(("steps", "wrong"), [(24, False), (2, True)])
+def test_steps_that_are_too_long_are_seen_on_branches(tmp_path, steps, wrong):
+    """Against the closed form: two steps a turn are too few for r⁵, and the warning says so."""
+    timed = HARD.replace('"coordinates"', '"time_unit": 6.283185307179586, "coordinates"')
+    (tmp_path / "hard.py").write_text(timed)
+    (tmp_path / "hard.yaml").write_text(
+        "system: {file: hard.py}\ninitial: {x: 1.0, v: 0.0}\n"
+        "sweep: {mu: {start: -0.1, stop: -0.05, count: 3}}\nsection: {coordinate: v, value: 0.0, direction: up}\n"
+        f"accuracy: {{solver: dopri8, steps: {steps}}}\nanalyses: {{branches: {{max_period: 1, transient: 64}}}}\n"
+    )
+    branches = session_of(jaxnh.load(tmp_path / "hard.yaml")).tree()["branches"].to_dataset()
+    mu, x = (branches[name].to_numpy().ravel() for name in ("mu", "x"))
+    missed = np.nanmax(np.abs(np.abs(x) - radii(mu)[1]))
+    error = float(branches["step_change"].max())
+    assert missed < 10.0 * error
+    assert ("steps are too long on 1 of 1" in branches.attrs.get("warnings", "")) == wrong == (error > 1e-2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -28,6 +29,7 @@ from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
 _LOOKED_AT = 9  # points of a branch
+_COMPARED = 3  # orbits of a branch, with those of the map of twice the steps
 _ABREAST = 8  # times the branches that fill a tile: of 32 lanes a tile, calls of 64 to 512 take a quarter of the time
 _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have the bifurcation in common
 
@@ -121,7 +123,28 @@ def grow(
             open_ += parents
             for orbits in more:
                 starts.setdefault(orbits.points.shape[1], []).append(orbits)
-    return tree
+    return tree._replace(branches=_with_step_changes(families, tree.branches))
+
+
+def _with_step_changes(families: Sequence[Family], branches: Sequence[Branch]) -> list[Branch]:
+    """The branches with what the map of twice the steps says of a few of their orbits.
+
+    Steps suit what the sweep's lanes do; random starts lead to orbits elsewhere, where the map may be none of the flow.
+    """
+    family, finer = families[:2]
+    if finer is family or not branches:
+        return list(branches)
+    sampled = [np.unique(np.linspace(0, len(branch.value) - 1, _COMPARED).astype(int)) for branch in branches]
+    orbits = [branch.points[at] for branch, at in zip(branches, sampled, strict=True)]
+    counts = [part.shape[0] * part.shape[1] for part in orbits]
+    u = np.concatenate([part.reshape(-1, part.shape[2]) for part in orbits])
+    values = np.concatenate(
+        [np.repeat(branch.value[at], branch.period) for branch, at in zip(branches, sampled, strict=True)]
+    )
+    images = [np.asarray(each.period(u, values).image) for each in (family, finer)]
+    apart = np.max(np.abs(family.wrap(images[1] - images[0])) / family.size, axis=1)
+    parts = np.split(apart, np.cumsum(counts)[:-1])
+    return [replace(branch, step_change=float(part.max())) for branch, part in zip(branches, parts, strict=True)]
 
 
 def _follow_branches(

@@ -33,10 +33,12 @@ from jaxnh.systems.readout import Output
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
     "begins", "ends", "points", "kind", "not_located", "not_located_kind", "criticality",
-    "coefficient", "parameter", "duration",
+    "coefficient", "parameter", "duration", "step_change",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
+_STEP_CHANGE = "largest distance of the map from one of twice the steps on the branch, in sizes of the motion"
+_LARGE = 1e-2  # such a distance, at which orbits are none of the flow
 _MULTIPLIERS = "Floquet multipliers, real and imaginary part"
 _EIGENVALUES = "; of an equilibrium eigenvalues"
 
@@ -139,6 +141,12 @@ def _warnings(axis: Axis, trees: Sequence[Tree], searched: str) -> str:
     lines = list[str]()
     if lost := sum(len(tree.lost) for tree in trees):
         lines.append(f"branches: {lost} sign changes of test functions led to no bifurcation that could be located")
+    wrong = np.array([branch.step_change for branch in trees[0].branches])
+    if count := int(np.sum(wrong > _LARGE)):
+        lines.append(
+            f"branches: steps are too long on {count} of {len(wrong)}, where twice as many move orbits by up to "
+            f"{np.nanmax(wrong):.2g} sizes of the motion: these are none of the flow (step_change); give a finer target"
+        )
     unknown = [int(np.sum(np.any(np.isnan(branch.multipliers), axis=1))) for branch in trees[0].branches]
     if count := sum(unknown):
         points = sum(len(branch.value) for branch in trees[0].branches)
@@ -168,6 +176,7 @@ def _branches(
             dims, padded(attracts, (length,), -1), "whether the orbit attracts", ("beyond_the_end", *STABILITIES), -1
         ),
         "residual": variable(dims, padded([branch.residual for branch in every], (length,)), residual),
+        "step_change": variable("branch", np.array([b.step_change for b in every], float), _STEP_CHANGE),
         "begins": flag("branch", [b.ends[0] for b in every], "why the branch begins there", ENDS),
         "ends": flag("branch", [b.ends[1] for b in every], "why the branch ends there", ENDS),
     }

@@ -38,6 +38,8 @@ class Branch:
         ends: why it ends where it begins, and at its end, numbers in `paths.ENDS`. A collapsed one goes on to a point
             beyond.
         errors: of the multipliers, (k, d), where they are known.
+        step_change: largest distance of the map from one of twice the steps on some of the orbits, in sizes of the
+            motion; NaN where it is not known, as of cycles by collocation and of what has no steps.
     """
 
     points: Float[np.ndarray, "k n d"]
@@ -48,6 +50,7 @@ class Branch:
     residual: Float[np.ndarray, " k"]
     ends: tuple[int, int]
     errors: Float[np.ndarray, "k d"] | None = None
+    step_change: float = np.nan
 
     @property
     def period(self) -> int:
