@@ -71,9 +71,9 @@ def pytest_configure(config: pytest.Config) -> None:
         kept_programs.executor_of_tests = PaddedToFew
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module")
 def calibrate_once() -> Iterator[None]:
-    """Equal experiments on equal lanes are calibrated once in this process, whichever tests run them."""
+    """For modules whose tests run equal experiments on equal lanes: these are calibrated once."""
     with calibrating_by(once):
         yield
 
@@ -122,7 +122,7 @@ def quick_programs() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def uncalibrated(calibrate_once: None) -> Iterator[None]:
+def uncalibrated() -> Iterator[None]:
     """For modules that look at no error of steps that their configs give: none is measured, by runs in this process."""
     with calibrating_by(unless_given):
         yield

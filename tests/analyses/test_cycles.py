@@ -19,7 +19,7 @@ from jaxnh.systems.first_order import first_order
 from tests.flows.roessler import doubling_of_roessler
 from tests.helpers.kept_programs import session_of
 
-pytestmark = pytest.mark.usefixtures("quick_compiling")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "calibrate_once")
 
 ROESSLER = """
 def system(c=2.5):

@@ -10,11 +10,10 @@ import pytest
 
 import jaxnh
 from jaxnh.exceptions import InputError
-from tests.analyses.test_tori import bent_circle, skew, tube
+from tests.flows.tori import GOLDEN, TURN, bent_circle, skew, tube
 
 pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
 
-TURN = 2 * math.pi
 STEPS = {"transient": 256, "periods": 256}
 
 
@@ -139,9 +138,9 @@ def test_of_lanes_without_a_bifurcation():
     assert data.sizes["torus_branch"] == 1
     assert np.isnan(data["birth"]).all()
     tori = branch(data)
-    c, golden = tori["c"].to_numpy(), 0.5 * (math.sqrt(5) - 1.0)
+    c = tori["c"].to_numpy()
     assert (c.min(), c.max()) == (0.5, 2.0)
-    exact = np.imag(np.exp(1j * tori["x"].to_numpy()) / (np.exp(1j * TURN * golden) - c[:, None]))
+    exact = np.imag(np.exp(1j * tori["x"].to_numpy()) / (np.exp(1j * TURN * GOLDEN) - c[:, None]))
     assert np.abs(tori["w"] - exact).max() < 1e-9
 
 

@@ -13,6 +13,8 @@ import xarray as xr
 import jaxnh
 from jaxnh.systems.function_source import source_text
 
+pytestmark = pytest.mark.usefixtures("calibrate_once")
+
 STEPS = 24
 HALF = 0.5
 TABLE = np.array([1.0, 2.0])
@@ -357,5 +359,6 @@ def test_options_are_typed():
 
     for name, analysis in ANALYSES.items():
         assert name == analysis.name
-        assert getattr(jaxnh, name.capitalize()) is analysis.options
-        assert name.capitalize() in jaxnh.__all__
+        public = "".join(word.capitalize() for word in name.split("_"))
+        assert getattr(jaxnh, public) is analysis.options
+        assert public in jaxnh.__all__

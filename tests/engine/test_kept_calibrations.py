@@ -123,6 +123,8 @@ def test_a_sweep_of_days_is_refused_where_its_decision_is_kept(folder, calibrate
 SYSTEM = """\
 import jax.numpy as jnp
 import numpy as np
+
+pytestmark = pytest.mark.usefixtures("calibrate_once")
 {before}
 def system(drive=0.3):
     def rhs(y, t):

@@ -232,7 +232,7 @@ def test_a_fast_particle_does_not_go_to_infinity():
     system = constant_speed(c=0.0001)
     state = jax.tree.map(np.atleast_1d, system.start({"x1": 20.0, "x2": 0.001, "y1": 0.1}))
     sample = Samples(state, {"b": np.array([500.0])}, np.zeros(1, int), {})
-    words = explain_motion(SimpleNamespace(flows=[system], parts=1), sample)
+    words = explain_motion(SimpleNamespace(flows=[system], flow=system, parts=1, sectioned=False), sample)
     assert re.fullmatch(
         "rates of change reach .* a period: the system is stiff; slow down what is fast in it, or ask for less", words
     )
@@ -243,9 +243,8 @@ def test_a_long_period_is_looked_at_with_finer_steps():
     system = constant_speed(omega=0.01)
     state = jax.tree.map(np.atleast_1d, system.start({"x1": 0.1, "x2": 0.1, "y1": 0.1}))
     sample = Samples(state, {"b": np.array([2.5])}, np.zeros(1, int), {})
-    maps = SimpleNamespace(
-        flows=[system], parts=1, scheme=SimpleNamespace(reference=SimpleNamespace(most_steps=int)), tried=2**20
-    )
+    scheme = SimpleNamespace(reference=SimpleNamespace(most_steps=int))
+    maps = SimpleNamespace(flows=[system], flow=system, parts=1, sectioned=False, scheme=scheme, tried=2**20)
     assert "infinity" not in explain_motion(maps, sample)
 
 

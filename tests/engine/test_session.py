@@ -15,6 +15,8 @@ from tests.flows.double_well import DOUBLE_WELL
 from tests.helpers.experiments import content
 from tests.helpers.kept_programs import session_of
 
+pytestmark = pytest.mark.usefixtures("calibrate_once")
+
 CONTENT = {
     "title": "A session",
     "system": {"constraint": "disturbed_speed", "d": 0.1},

@@ -38,6 +38,8 @@ TARGET, LANES, FAST = 1e-6, 100, 1
 SOURCE = """
 import jax.numpy as jnp
 
+pytestmark = pytest.mark.usefixtures("calibrate_once")
+
 def system(rate=1.0, push=0.0):
     def rhs(y, t):
         x, v = y
