@@ -13,6 +13,8 @@ from jaxnh.engine.session import Session
 from jaxnh.exceptions import AccuracyError, ConfigError
 from tests.helpers.kept_programs import lanes_with_kept_programs
 
+pytestmark = pytest.mark.usefixtures("calibrate_once")
+
 # A target of a few steps, and an analysis that chooses (`lyapunov` its parts).
 TEXT = """\
 title: {title}
@@ -124,7 +126,6 @@ SYSTEM = """\
 import jax.numpy as jnp
 import numpy as np
 
-pytestmark = pytest.mark.usefixtures("calibrate_once")
 {before}
 def system(drive=0.3):
     def rhs(y, t):

@@ -33,12 +33,13 @@ from tests.helpers.cases import some_slow
 from tests.helpers.jobs import content
 from tests.helpers.kept_programs import lanes_with_kept_programs
 
+pytestmark = pytest.mark.usefixtures("calibrate_once")
+
 TARGET, LANES, FAST = 1e-6, 100, 1
 # Van der Pol's oscillator, `rate` times as fast, with a clock, in time alone and on a section.
 SOURCE = """
 import jax.numpy as jnp
 
-pytestmark = pytest.mark.usefixtures("calibrate_once")
 
 def system(rate=1.0, push=0.0):
     def rhs(y, t):
