@@ -88,10 +88,10 @@ def test_every_analysis_says_how_it_is_drawn(result, tmp_path):
     assert kinds - {""} == set(PANELS) - {*OVER_TWO_AXES.values(), *WITHOUT_CLOCK}
     drawing = figures.figure(path)
     # Portraits, manifolds and tori have a panel for each b, with the points of `poincare` in the first; bifurcations are
-    # drawn on their branches, and orbits not at all.
-    several = {"portrait", "manifolds", "tori", "poincare", "bifurcations", "orbits"}
+    # drawn on their branches, and orbits and curves of tori not at all.
+    several = {"portrait", "manifolds", "tori", "poincare", "bifurcations", "orbits", "torus_curves"}
     assert len(drawing.axes) == 3 * 4 + len(groups) - len(several)
-    assert len(drawing.get_supxlabel().splitlines()) == 2  # one says that there is no picture of orbits
+    assert len(drawing.get_supxlabel().splitlines()) == 2  # one says of what there is no picture
     for ax in drawing.axes[:4]:
         track, dots = ax.lines
         assert len(track.get_xdata()) == 4 * 16
