@@ -43,7 +43,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -62,7 +61,6 @@ from jaxnh.systems.switched_mechanics import switched_mechanics
 from jaxnh.systems.tracing import KnownValue, Program
 from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_functions import (
-    COMPILED_FOR_ONE_CALL,
     EVENTS,
     FUNCTIONS,
     EventFault,
@@ -75,11 +73,10 @@ from jaxnh.systems.user_functions import (
     with_lists_of_names,
 )
 from jaxnh.systems.user_names import CLOCKS, check_keys, check_names, fault_of_count, state_sizes, states_in
+from jaxnh.systems.user_period import period_fault
 from jaxnh.systems.user_text import Names, read_text
 
 _OF_COMPONENTS = ("map", "rhs", "rates", "Q", "f")  # functions that return a number a coordinate, or a constraint
-_PROBES = 16  # random states and times at which equations are held against themselves a period later
-_ALIKE = 1e-8  # of the largest number there: a period of ten digits will do
 _KEYS = ("file", "constraint")  # of a config, beside the parameters
 _MOST_FLOWS = 256  # flows kept, at most: a session asks for the same ones again and again
 _RETURNED = dict.fromkeys(_OF_COMPONENTS, "a number a coordinate") | {"T": "a number", "f": "a number a constraint"}
@@ -257,31 +254,18 @@ class UserFile:
         definition = self.define(**parameters)
         if "period" not in definition or tuple(parameters.values()) in self._periodic:
             return
-        functions = functions_of(definition)
-        period, draws = float(definition["period"]), np.random.default_rng(0)
-        sizes = state_sizes(definition) if self.mechanical else (len(self.coordinates),)
-        states = [draws.uniform(-1.0, 1.0, (size, _PROBES)) for size in sizes]
-        t = draws.uniform(0.0, period, _PROBES)
-
-        def rates(t: Any, states: Any) -> list[Any]:
-            results = [function(*map(tuple, states), t) for function in functions.values()]
-            return [jnp.stack(jax.tree.leaves(each)) for each in results]
-
-        both = jax.jit(lambda t, y: (rates(t, y), rates(t + period, y)), compiler_options=COMPILED_FOR_ONE_CALL)
-        with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
-            now, later = self._guarded(lambda: both(t, states))
-        for name, first, second in zip(functions, map(np.asarray, now), map(np.asarray, later), strict=True):
-            finite = np.isfinite(first) & np.isfinite(second)
-            gap = np.abs(np.where(finite, first - second, 0.0))
-            worst = np.unravel_index(np.argmax(gap), gap.shape)
-            if gap[worst] > _ALIKE * np.max(np.abs(first), initial=1e-300, where=finite):
-                vector = name in _OF_COMPONENTS or name.endswith(".then")
-                what = f"number {worst[0] + 1} of {name}" if vector else name
-                message = (
-                    f"{period:.9g} is no period of {name}: at one state {what} is {first[worst]:.9g} at t = "
-                    f"{t[worst[1]]:.9g} and {second[worst]:.9g} a period later; give the period of what depends on t"
-                )
-                raise self._fault(self._line_of(name), message)
+        period, sizes = (
+            float(definition["period"]),
+            state_sizes(definition) if self.mechanical else (len(self.coordinates),),
+        )
+        if fault := period_fault(functions_of(definition), sizes, period, self._guarded):
+            vector = fault.name in _OF_COMPONENTS or fault.name.endswith(".then")
+            what = f"number {fault.number + 1} of {fault.name}" if vector else fault.name
+            message = (
+                f"{period:.9g} is no period of {fault.name}: at one state {what} is {fault.first:.9g} at t = "
+                f"{fault.t:.9g} and {fault.second:.9g} a period later; give the period of what depends on t"
+            )
+            raise self._fault(self._line_of(fault.name), message)
         self._periodic.add(tuple(parameters.values()))
 
     def _function(self) -> Callable[..., Any]:

@@ -15,7 +15,7 @@ from jaxnh.analyses.continuation.equilibrium_sensitivities import equilibrium_se
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.continuation.grazing import grazing_sensitivities
 from jaxnh.analyses.coordinates import coordinates_at
-from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, bifurcation_sensitivities
+from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, Sensitivities, bifurcation_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import (
     absent_words,
     sensitivity_cells,
@@ -105,16 +105,7 @@ def datasets(
     points = _bifurcations(lanes, grown, bifurcations, [rank[family, point.branch] for family, point in bifurcations])
     own = {"along": axis.name}
     if derived:
-        critical = [
-            CriticalOrbit(-1 if family else p.kind, p.value, p.points, p.multipliers) for family, p in bifurcations
-        ]
-        rates = bifurcation_sensitivities(batch, lanes, critical)
-        if still := [k for k, (family, _) in enumerate(bifurcations) if family]:
-            resting = [critical[k]._replace(kind=bifurcations[k][1].kind) for k in still]
-            rates = rates.with_rows(still, equilibrium_sensitivities(grown[1].batch, lanes, resting))
-        if touching := [k for k, (_, point) in enumerate(bifurcations) if point.arcs]:
-            grazing = [bifurcations[k][1].arcs for k in touching]
-            rates = rates.with_rows(touching, grazing_sensitivities(batch, lanes, grazing))
+        rates = _sensitivities(lanes, grown, bifurcations)
         words = f"{axis.long_name} at the bifurcation"
         points |= sensitivity_variables(rates, batch, "bifurcation", axis.name, words, axis.units)
         own |= {"warnings": reasons} if (reasons := absent_words("bifurcations", rates)) else {}
@@ -122,6 +113,22 @@ def datasets(
         "branches": xr.Dataset(branches, attrs=attrs),
         "bifurcations": xr.Dataset(points, attrs=own),
     }
+
+
+def _sensitivities(
+    lanes: LaneRunner, grown: Sequence[FollowedBranches], bifurcations: Sequence[tuple[int, Bifurcation]]
+) -> Sensitivities:
+    """Derivatives of the parameter at bifurcations, of orbits, of equilibria and where orbits graze."""
+    batch = grown[0].batch
+    critical = [CriticalOrbit(-1 if family else p.kind, p.value, p.points, p.multipliers) for family, p in bifurcations]
+    rates = bifurcation_sensitivities(batch, lanes, critical)
+    if still := [k for k, (family, _) in enumerate(bifurcations) if family]:
+        resting = [critical[k]._replace(kind=bifurcations[k][1].kind) for k in still]
+        rates = rates.with_rows(still, equilibrium_sensitivities(grown[1].batch, lanes, resting))
+    if touching := [k for k, (_, point) in enumerate(bifurcations) if point.arcs]:
+        grazing = [bifurcations[k][1].arcs for k in touching]
+        rates = rates.with_rows(touching, grazing_sensitivities(batch, lanes, grazing))
+    return rates
 
 
 def ordered_bifurcations(grown: Sequence[FollowedBranches]) -> list[tuple[int, Bifurcation]]:

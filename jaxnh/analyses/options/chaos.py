@@ -67,8 +67,8 @@ class RotationOptions(Options):
     centre: Centre = None
 
 
-class ToriOptions(Options):
-    """Options of `tori`."""
+class InvariantCurveOptions(Options):
+    """Options of analyses that make invariant curves of motions that turn."""
 
     transient: int = Field(default=256, ge=1, description="Periods, or crossings, before points of the motion are kept")
     periods: int = Field(default=2048, ge=128, description="Points that the first curve of a lane is made of")
@@ -81,7 +81,11 @@ class ToriOptions(Options):
     centre: Centre = None
 
 
-class TorusBranchesOptions(Continuation):
+class ToriOptions(InvariantCurveOptions):
+    """Options of `tori`."""
+
+
+class TorusBranchesOptions(Continuation, InvariantCurveOptions):
     """Options of `torus_branches`."""
 
     newton: ClassVar[bool] = True
@@ -90,19 +94,10 @@ class TorusBranchesOptions(Continuation):
     max_period: int = Field(
         default=1, ge=1, le=16, description="Largest period of orbits whose Neimark–Sacker bifurcations begin tori"
     )
-    transient: int = Field(default=512, ge=1, description="Periods before lanes are looked at")
-    periods: int = Field(default=1024, ge=128, description="Points that the curve of a lane's own motion is made of")
-    harmonics: int = Field(default=128, ge=16, le=512, description="Largest number of harmonics of a curve")
-    points: int = Field(default=64, ge=16, le=4096, description="Points of each curve that are kept")
-    max_denominator: int = Field(
-        default=64, ge=1, le=1024, description="Largest denominator of fractions that a motion may be locked to"
-    )
     ds_max: float = Field(
         default=0.05, gt=0, le=0.25, description="Largest step along a branch, in widths of the sweep and in sizes"
     )
     max_steps: int = Field(default=200, ge=2, description="Tori of a branch to either side of its first, at most")
-    plane: Plane = None
-    centre: Centre = None
 
 
 class ReversalOptions(Options):

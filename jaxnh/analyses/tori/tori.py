@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Analysis, OptionError, Setting, Table, as_variable, flag, table_of_kinds
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.options.chaos import RotationOptions, ToriOptions
+from jaxnh.analyses.options.chaos import InvariantCurveOptions, RotationOptions, ToriOptions
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
 from jaxnh.analyses.price import newton_price
 from jaxnh.analyses.rotation import rotation
@@ -53,19 +53,19 @@ Solutions = dict[int, tuple[InvariantCurve, CurveQuality]]
 """Curves that are solutions, by the number of their lane."""
 
 
-def periods(options: ToriOptions, lanes: int) -> float:
+def periods(options: InvariantCurveOptions, lanes: int) -> float:
     """Return the lane-periods that a run is expected to integrate, of which Newton has a third or so."""
     return float(lanes * (options.transient + options.periods + 1 + 5 * (4 * _FIRST_HARMONICS) * (1 + _TANGENTS)))
 
 
-def check(options: ToriOptions, setting: Setting) -> None:
+def check(options: InvariantCurveOptions, setting: Setting) -> None:
     """Check that there is an angle, as `rotation` does, and something normal to a curve."""
     if setting.flow.exponents - int(setting.autonomous) < 2:
         raise OptionError("a curve on a map of one direction has nothing normal to it; take rotation")
     rotation.check(_as_rotation(options), setting)
 
 
-def _as_rotation(options: ToriOptions) -> RotationOptions:
+def _as_rotation(options: InvariantCurveOptions) -> RotationOptions:
     return RotationOptions(
         transient=options.transient,
         periods=options.periods,
@@ -83,7 +83,7 @@ def run(options: ToriOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset
     return _dataset(options, batch, lanes, motions, solutions)
 
 
-def turning_motions(options: ToriOptions, batch: LaneBatch, lanes: LaneRunner) -> TurningMotions:
+def turning_motions(options: InvariantCurveOptions, batch: LaneBatch, lanes: LaneRunner) -> TurningMotions:
     """Return the motions of lanes after the transient, and whether they turn."""
     states = states_after(batch, lanes, batch.start, options.transient, options.periods + 1, ORBIT_TILE)
     asked = _as_rotation(options)
@@ -122,7 +122,9 @@ def _solutions(options: ToriOptions, batch: LaneBatch, lanes: LaneRunner, motion
     return solved
 
 
-def curves_of_motions(options: ToriOptions, batch: LaneBatch, motions: TurningMotions) -> dict[int, InvariantCurve]:
+def curves_of_motions(
+    options: InvariantCurveOptions, batch: LaneBatch, motions: TurningMotions
+) -> dict[int, InvariantCurve]:
     """Return the curves through motions that turn without being locked, by number of the lane, before Newton."""
     own = np.flatnonzero(motions.kind == rotation.KINDS.index("unlocked"))
     first, angles = min(_FIRST_HARMONICS, options.harmonics), np.array(batch.chart.angles)

@@ -30,7 +30,7 @@ from jaxnh.analyses.continuation import branches
 from jaxnh.analyses.continuation.families import step_control
 from jaxnh.analyses.continuation.family_tree import Bifurcation
 from jaxnh.analyses.continuation.tables import period_variable
-from jaxnh.analyses.options.chaos import ToriOptions, TorusBranchesOptions
+from jaxnh.analyses.options.chaos import TorusBranchesOptions
 from jaxnh.analyses.options.orbits import BranchesOptions
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
 from jaxnh.analyses.price import newton_price
@@ -53,14 +53,9 @@ _WORK = 3.0  # of a run, in those of settling: a guess
 
 def check(options: TorusBranchesOptions, setting: Setting) -> None:
     """Check that there is an angle and something normal to a curve, and one axis that branches may be over."""
-    tori.check(_as_tori(options), setting)
+    tori.check(options, setting)
     branches.check(_as_branches(options), setting)
     check_names("torus_branches", _OWN_NAMES, setting)
-
-
-def _as_tori(options: TorusBranchesOptions) -> ToriOptions:
-    names = ("transient", "periods", "harmonics", "points", "max_denominator", "plane", "centre")
-    return ToriOptions(**{name: getattr(options, name) for name in names})
 
 
 def _as_branches(options: TorusBranchesOptions) -> BranchesOptions:
@@ -73,11 +68,11 @@ def whole(
     """The groups `torus_branches` and `torus_curves`."""
     (axis, *_), [(order, row)] = sweep.axes, sweep.rows
     batch = replace(row, axis=replace(axis, values=axis.values[order]))
-    of_branches, of_tori = _as_branches(options), _as_tori(options)
+    of_branches = _as_branches(options)
     orbits, *_ = branches.grow_branches(of_branches, batch, lanes, branches.settle(of_branches, batch, lanes))
-    with lanes.stage(f"torus_branches: motions of {batch.count:,} lanes", tori.periods(of_tori, batch.count)):
-        curves = tori.curves_of_motions(of_tori, batch, tori.turning_motions(of_tori, batch, lanes))
-    family = _in_units_of_tori(orbits.family, list(curves.values()))
+    with lanes.stage(f"torus_branches: motions of {batch.count:,} lanes", tori.periods(options, batch.count)):
+        curves = tori.curves_of_motions(options, batch, tori.turning_motions(options, batch, lanes))
+    family = _in_units_options(orbits.family, list(curves.values()))
     with lanes.stage("torus_branches: from Neimark–Sacker points", 0):
         followed, missed = _from_points(options, family, orbits.tree.bifurcations)
     with lanes.stage(f"torus_branches: from motions of {len(curves)} lanes", 0):
@@ -87,7 +82,7 @@ def whole(
         return _groups(options, batch, lanes, followed, missed)
 
 
-def _in_units_of_tori(family: Family, curves: Sequence[InvariantCurve]) -> Family:
+def _in_units_options(family: Family, curves: Sequence[InvariantCurve]) -> Family:
     """The family in sizes of curves that motions turn on, where these are larger: orbits alone may rest in a point."""
     if not curves:
         return family
