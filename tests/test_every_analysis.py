@@ -723,7 +723,6 @@ KINDS = {
     "a right-hand side in time": Kind(
         SPACE,
         {name: WITHOUT_SECTION.format(name) for name in ANALYSES if name not in IN_TIME}
-        | {"verdict": WITHOUT_SECTION.format("period")}
         | {"portrait": IN_SPACE["portrait"], "lyapunov": exponents(moebius_exponents), "basins": one_attractor}
         | {"manifolds": no_saddle}
         | {"transport": stays, "edges": no_edges(1, "one_attractor"), "homoclinic": SADDLES_OVER_ONE.format("mu")},

@@ -286,6 +286,11 @@ class AnalysesBase(OrderedBlock, frozen=True):
         order = dict.fromkeys(word for name in self._order for word in (*OPTIONS[name].needs, name))
         return {name: getattr(self, name) or OPTIONS[name]() for name in order}
 
+    def asked_for(self) -> list[tuple[str, list[Options]]]:
+        """Each analysis that the config names, with its options and those of the analyses that it needs."""
+        options = self.options()
+        return [(name, [options[word] for word in (*OPTIONS[name].needs, name)]) for name in self._order]
+
 
 if TYPE_CHECKING:
     Analyses = AnalysesBase

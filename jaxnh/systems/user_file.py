@@ -289,7 +289,8 @@ class UserFile:
         for name, parameter in inspect.signature(self._define).parameters.items():
             value = parameter.default
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise self._fault(line, f"parameter {name} of system needs a number as its default: {name}=1.0")
+                message = f"parameter {name} of system needs a number as its default: {name}=1.0"
+                raise self._fault(line, f"{message}; the state and time are arguments of the rhs(y, t) that it returns")
             if name in _KEYS:
                 raise self._fault(line, f"a parameter cannot be called {name}: that is a key of the config")
             defaults[name] = float(value)

@@ -224,8 +224,10 @@ def _of_shocks(made: Edges, lanes: LaneRunner, shocks: Shocks) -> dict[str, Entr
     of_point = "number of the point of the attractor that is displaced"
     return {
         "shock": variable(dims, at.put(shocks.length), of_length),
-        "shock_error": variable(dims, at.put(shocks.error), "error of the least shock"),
-        "shock_point": number_variable(dims, at.put(shocks.point + 1, 0, np.int32), of_point, ("none",)),
+        "shock_error": variable(dims, at.put(np.where(known, shocks.error, np.nan)), "error of the least shock"),
+        "shock_point": number_variable(
+            dims, at.put(np.where(known, shocks.point + 1, 0), 0, np.int32), of_point, ("none",)
+        ),
         "shock_to": _attractor(dims, at.put(np.where(known, shocks.to + 1, -1), -1, np.int32), "attractor after it"),
         "shocks_tried": number_variable(
             dims, at.put(made.tried, 0, np.int32), "points times directions that were tried", ("none",)
