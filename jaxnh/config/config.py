@@ -224,12 +224,15 @@ class UserConfig(Config, frozen=True):
     def check_clock(self, clock: bool) -> None:
         """Check accuracy and section; crossings need a section that the config gives."""
         super().check_clock(clock)
-        at_crossings = [name for name, options in self.analyses.asked_for() if not all(each.in_time for each in options)]
+        at_crossings = [
+            name for name, options in self.analyses.asked_for() if not all(each.in_time for each in options)
+        ]
         if not clock and self.section is None and at_crossings:
             first = (self._names.coordinates or ("x",))[0]
             message = (
                 f"the system has no period, and {at_crossings[0]} looks at it on a section: give one, "
-                f"as section: {{coordinate: {first}, value: 0.0, direction: up}}, or by on(coordinate='{first}') of a session"
+                f"as section: {{coordinate: {first}, value: 0.0, direction: up}}, "
+                f"or of a session by on(coordinate='{first}')"
             )
             raise rule(message, "section", f"analyses.{at_crossings[0]}", "analyses")
 

@@ -113,7 +113,7 @@ def settle(options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner) -> Set
     """Motions that lanes settle on from their start."""
     attractors = survey_from_start(batch, lanes, options.max_period, "branches", options.transient)
     period = periods_in_motion(batch, lanes, attractors)
-    return SettledOrbits(period, attractors.u, sizes_in_motion(attractors, period))
+    return SettledOrbits(period, attractors.u, sizes_in_motion(batch, lanes, attractors))
 
 
 def whole(options: BranchesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
@@ -141,10 +141,9 @@ def grow_branches(
 ) -> list[FollowedBranches]:
     """All branches over the first axis: first those of orbits, then, where they are asked for, those of equilibria."""
     axis, (period, u, size) = batch.first_axis, settled
-    known = np.isfinite(size).all(axis=1)
     unit = motion_unit([batch], lanes, period, size, options.box)
     ends = float(axis.values.min()), float(axis.values.max())
-    waves = attractor_waves(batch, lanes, u, np.where(known, period, 0))
+    waves = attractor_waves(batch, lanes, u, period)
     sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
     sample = batch.take(np.argsort(axis.values, kind="stable")[sampled])
     if options.n_starts:

@@ -159,7 +159,7 @@ def _attractors(options: CurvesOptions, batches: Sequence[LaneBatch], lanes: Lan
         period = periods_in_motion(batch, lanes, survey)
         waves.append(attractor_waves(batch, lanes, survey.u, period))
         periods.append(period)
-        sizes.append(sizes_in_motion(survey, period))
+        sizes.append(sizes_in_motion(batch, lanes, survey))
     unit = motion_unit(batches, lanes, np.concatenate(periods), np.concatenate(sizes), options.box)
     return _Attractors(waves, unit)
 

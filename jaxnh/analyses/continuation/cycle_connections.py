@@ -60,7 +60,7 @@ def seeds_from_cycles(
     survey = survey_from_start(batch, lanes, limit, "homoclinic", _TRANSIENT)
     period = periods_in_motion(batch, lanes, survey)
     waves = attractor_waves(batch, lanes, survey.u, period)
-    size = motion_unit([batch], lanes, period, sizes_in_motion(survey, period), options.box)
+    size = motion_unit([batch], lanes, period, sizes_in_motion(batch, lanes, survey), options.box)
     steps = step_control(options)._replace(max_steps=STEPS.max_steps)
     sampled = np.unique(np.linspace(0, batch.count - 1, min(_VALUES, batch.count)).round().astype(int))
     still = equilibria(batch.take(sampled), lanes, options.n_starts, options.seed, options.box, range_, steps, stage)

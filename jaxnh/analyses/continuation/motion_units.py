@@ -1,34 +1,43 @@
 """Sizes that orbits of a whole sweep are measured in, one of each section coordinate.
 
-Motions of lanes have sizes, but not where they have come to rest in an equilibrium, and that may be all lanes: then the
-starts say how large orbits may be. Sizes that the config gives as `accuracy.scale` count before all others.
+Motions of lanes have sizes, but not where they have come to rest, in an equilibrium or as a driven pendulum that hangs
+still, and that may be all lanes: then the starts say how large orbits may be. Sizes that the config gives as
+`accuracy.scale` count before all others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.periodic.attractor_survey import Survey
+from jaxnh.analyses.periodic.attractor_survey import Survey, extent, radian
 from jaxnh.analyses.random_starts import Box, box_corners
-from jaxnh.analyses.section_points import points_at
+from jaxnh.analyses.section_points import at_rest, points_at
 from jaxnh.maps.section import begin
+from jaxnh.systems.flow import Flow, Parameters
 
+_STILL = 1e-9  # of the extent of starts: what moves less in a radian of the period rests
+_PHASES = (0.0, 0.29, 0.61)  # shares of a period, at which no forcing with a symmetry vanishes twice
 _LEAST = 0.01  # of the extent of starts: smaller motions that are no orbits are on their way to an equilibrium
 
 
-def sizes_in_motion(survey: Survey, period: Int[np.ndarray, " lanes"]) -> Float[np.ndarray, "lanes d"]:
-    """Return the sizes of the motions of lanes, NaN of those that have failed or come to rest.
-
-    Args:
-        survey: of the lanes.
-        period: `periods_in_motion` of it.
-    """
-    at_rest = (survey.period > 0) & (period == 0)
-    return np.where((survey.failed | at_rest)[:, None], np.nan, survey.size)
+def sizes_in_motion(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> Float[np.ndarray, "lanes d"]:
+    """Return the sizes of the motions of lanes, NaN of those that have failed or come to rest."""
+    settled, u = survey.period > 0, np.where((survey.period > 0)[:, None], survey.u, np.nan)
+    if batch.on_section:
+        resting = at_rest(batch, lanes, u)
+    elif batch.flow.continuous:
+        moved = np.abs(lanes(_rates_over_period, (batch.system, _times(batch)), (u, dict(batch.p))))
+        unit = np.max(extent(batch, lanes, batch.start), axis=0)
+        resting = np.all(moved * radian(batch) <= _STILL * np.tile(unit, len(_PHASES)), axis=1)
+    else:
+        unit = np.max(np.abs(points_at(batch, lanes, batch.start)), axis=0)
+        resting = np.all(np.abs(u) <= _STILL * unit, axis=1)
+    return np.where((survey.failed | (settled & resting))[:, None], np.nan, survey.size)
 
 
 def motion_unit(
@@ -60,6 +69,18 @@ def search_unit(
 ) -> Float[np.ndarray, " d"]:
     """Return the sizes that orbits are sought in, from random starts in a box: its extent where motions are smaller."""
     return _given_or(batch, np.maximum(unit, _extent_of_starts(batch, lanes, box)))
+
+
+def _times(batch: LaneBatch) -> tuple[float, ...]:
+    return tuple(phase * batch.flow.period for phase in _PHASES)
+
+
+def _rates_over_period(
+    system: Flow, times: tuple[float, ...], u: Float[Array, " d"], p: Parameters
+) -> Float[Array, " rates"]:
+    """Rates of all section coordinates at a point held for these times."""
+    state = system.chart.state(u)
+    return jnp.concatenate([jnp.stack(system.chart.lower(state, system.rhs(u[0] * 0 + t, state, p))) for t in times])
 
 
 def _extent_of_starts(batch: LaneBatch, lanes: LaneRunner, box: Box) -> Float[np.ndarray, " d"]:

@@ -142,7 +142,7 @@ def _timings(transient: int, limit: int) -> list[Timing]:
 def periods_in_motion(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> Int[np.ndarray, " lanes"]:
     """Return the periods of lanes; 0 where one has failed, or has come to rest on a section through an equilibrium."""
     period = np.where(survey.failed, 0, survey.period)
-    if period.any():
+    if period.any() and batch.on_section:
         period[at_rest(batch, lanes, np.where(period[:, None] > 0, survey.u, np.nan))] = 0
     return period
 
@@ -278,7 +278,7 @@ def _look(
         strobe, p = batch.strobe(), dict(batch.p)
         state = lanes.iterate(strobe, timing.wait, (state, p), tile=tile) if timing.wait else state
         beside = _least_size(batch, lanes) if sized else ()
-        static = count, sought, None if batch.flow.autonomous else _radian(batch)
+        static = count, sought, None if batch.flow.autonomous else radian(batch)
         (*seen, finite), end = lanes.summarise(strobe, count, (state, p), beside, _look_at_lane, static, tile=tile)
         first, last, size, recurs = map(np.asarray, seen)
         return _Look(first, last, statuses(batch, end, np.asarray(finite)), size, recurs)
@@ -344,26 +344,26 @@ def motion_sizes(
     """
     size = np.max(np.abs(points), axis=1)
     if not batch.flow.autonomous:
-        size = np.maximum(size, _extent(batch, lanes, end))
+        size = np.maximum(size, extent(batch, lanes, end))
     return _usable_sizes(batch.chart, np.maximum(size, _least_size(batch, lanes)), np)
 
 
 def _least_size(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
     """The smallest size of the motion of each lane, by its start."""
-    return _SMALLEST * _extent(batch, lanes, batch.start)
+    return _SMALLEST * extent(batch, lanes, batch.start)
 
 
-def _extent(batch: LaneBatch, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
+def extent(batch: LaneBatch, lanes: LaneRunner, state: State) -> Float[np.ndarray, "lanes d"]:
     """The larger of each section coordinate of states and of its rate over a radian of the period."""
     u, rate = lanes(_point_and_rate, (batch.strobe(),), (state, dict(batch.p)))
-    return np.maximum(np.abs(u), np.abs(rate) * _radian(batch))
+    return np.maximum(np.abs(u), np.abs(rate) * radian(batch))
 
 
 def _point_and_rate(strobe: ReturnMap, state: State, p: Parameters) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
     return strobe.chart.point(state), jnp.stack(rates(strobe.system, state, p))
 
 
-def _radian(batch: LaneBatch) -> float:
+def radian(batch: LaneBatch) -> float:
     """The time of a radian of the period."""
     return float(batch.flow.period / (2 * np.pi))
 

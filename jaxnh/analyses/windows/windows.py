@@ -67,7 +67,7 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     batch = batch.take(np.unique(batch.first_axis.values, return_index=True)[1])
     survey = survey_from_start(batch, lanes, _DOUBLED * options.max_period, "windows", options.transient)
     period = periods_in_motion(batch, lanes, survey)
-    size = motion_unit([batch], lanes, period, sizes_in_motion(survey, period), {})
+    size = motion_unit([batch], lanes, period, sizes_in_motion(batch, lanes, survey), {})
     line = PeriodScan(batch.first_axis.values, period, survey.u)
 
     def stage(label: str) -> AbstractContextManager[object]:

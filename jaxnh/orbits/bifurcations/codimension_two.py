@@ -51,6 +51,8 @@ BOGDANOV_TAKENS, GENERALISED_HOPF, ZERO_HOPF, DOUBLE_HOPF = range(ONE_FOUR + 1, 
 _SECANTS = 60
 _KNOWN = 1e-13  # of the chord, or of the larger of both values: a zero is known to rounding
 _POLE = 0.2  # of the smaller of both values of a test function: what is no smaller at its zero is a pole
+_NEIGHBOURS = 2  # points of a curve further apart, between which a test function is not known, show no zero of it
+_OF_CUBICS = CHENCINER, GENERALISED_DOUBLING
 _COSINES = {ONE_ONE: 1.0, ONE_TWO: -1.0, ONE_THREE: -0.5, ONE_FOUR: 0.0}
 
 
@@ -63,6 +65,7 @@ class Special(NamedTuple):
         place: of the point of the curve before it.
         points: the orbit, (n, d).
         multipliers: of it, (d,).
+        shift: of both values, by the differences that its test function is made of, (2,).
     """
 
     kind: int
@@ -70,18 +73,21 @@ class Special(NamedTuple):
     place: int
     points: Float[np.ndarray, "n d"]
     multipliers: Complex[np.ndarray, " d"]
+    shift: Float[np.ndarray, " 2"] | float = 0.0
 
 
 def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
     """All that a curve passes through, in its order."""
     points = list[Special]()
     for kind, test in _tests(plane, curve.kind).items():
-        values = test(curve.track)
-        signs = np.signbit(values)
-        changes = (signs[1:] != signs[:-1]) & np.isfinite(values[1:] + values[:-1])
-        for place in np.flatnonzero(changes).tolist():
-            if at := _locate(plane, curve, test, place, (float(values[place]), float(values[place + 1]))):
-                points.append(_special(plane, kind, place, at))
+        values = _known_signs(plane, curve) if kind in _OF_CUBICS else test(curve.track)
+        known = np.flatnonzero(np.isfinite(values))
+        changes = (np.diff(np.signbit(values[known])) != 0) & (np.diff(known) <= _NEIGHBOURS)
+        for place, after in zip(known[:-1][changes].tolist(), known[1:][changes].tolist(), strict=True):
+            if at := _locate(plane, curve, test, place, (float(values[place]), float(values[after])), after):
+                slope = (curve.values[after] - curve.values[place]) / (values[after] - values[place])
+                missed = np.abs(slope * _cubic(plane, curve.kind, at)[1, 0]) if kind in _OF_CUBICS else 0.0
+                points.append(_special(plane, kind, place, at)._replace(shift=missed))
     if curve.kind == NEIMARK_SACKER and len(plane.size) == 2:
         turns = _turning(curve.track)
         for place in np.flatnonzero(turns[1:] * turns[:-1] < 0.0).tolist():
@@ -101,6 +107,13 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
     return sorted(points, key=lambda point: point.place)
 
 
+def _known_signs(plane: ParameterPlane, curve: Curve) -> Float[np.ndarray, " points"]:
+    """The cubic coefficients of a curve; NaN where the sign of one is no more than the error of its differences."""
+    coefficient, error = _cubic(plane, curve.kind, curve.track)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(coefficient) > error, coefficient, np.nan)
+
+
 def _special(plane: ParameterPlane, kind: int, place: int, at: Solution) -> Special:
     points, values = split_unknowns(plane, at.z)
     return Special(kind, values[0], place, points[0], multipliers(at.blocks)[0])
@@ -114,7 +127,7 @@ def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[Solution], F
             return lambda track: angle_cosine(multipliers(track.blocks)) - cosine
 
         tests = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
-        return {CHENCINER: lambda track: _cubic(plane, kind, track), **tests}
+        return {CHENCINER: lambda track: _cubic(plane, kind, track)[0], **tests}
     critical = 1.0 if kind == FOLD else -1.0
     other, resonance = (DOUBLING, ONE_ONE) if kind == FOLD else (FOLD, ONE_TWO)
     tests: dict[int, Callable[[Solution], np.ndarray]] = {
@@ -122,7 +135,7 @@ def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[Solution], F
         resonance: lambda track: _product_of_others(multipliers(track.blocks), critical),
     }
     if kind == DOUBLING:
-        tests[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)
+        tests[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)[0]
     return tests
 
 
@@ -145,8 +158,8 @@ def _turning(track: Solution) -> Float[np.ndarray, " lanes"]:
     return whole[:, 1, 0] - whole[:, 0, 1]
 
 
-def _cubic(plane: ParameterPlane, kind: int, track: Solution) -> Float[np.ndarray, " lanes"]:
-    """The cubic coefficient of the normal form of each point, over its own number in place of a parameter."""
+def _cubic(plane: ParameterPlane, kind: int, track: Solution) -> Float[np.ndarray, "2 lanes"]:
+    """The cubic coefficient of the normal form of each point, over its own number as parameter, and its error."""
     points, values = split_unknowns(plane, track.z)
     lanes, n, d = points.shape
 
@@ -158,12 +171,12 @@ def _cubic(plane: ParameterPlane, kind: int, track: Solution) -> Float[np.ndarra
         points, np.arange(lanes, dtype=float), way, track.blocks, none, none, none, track.converged, way
     )
     family = Family(period, plane.wrap, plane.size, 0.0, float(max(lanes, 1)))
-    coefficients, subset = np.full(lanes, np.nan), np.arange(lanes)
+    known, subset = np.full((2, lanes), np.nan), np.arange(lanes)
     if kind == NEIMARK_SACKER:  # beyond strong resonances there are no complex multipliers
         subset = np.flatnonzero(np.isfinite(critical(family, multipliers(track.blocks))))
     with np.errstate(divide="ignore", invalid="ignore"):  # at strong resonances it is infinite
-        coefficients[subset] = cubic(family, orbits.take(subset), np.full(len(subset), kind)).coefficient
-    return coefficients
+        known[:, subset] = cubic(family, orbits.take(subset), np.full(len(subset), kind))[:2]
+    return known
 
 
 def _locate(
@@ -172,9 +185,15 @@ def _locate(
     test: Callable[[Solution], np.ndarray],
     place: int,
     ends: tuple[float, float],
+    after: int | None = None,
 ) -> Solution | None:
-    """The point of a curve between two of its own where a test function is zero; None where it is infinite."""
-    track = curve.track.take(slice(place, place + 2))
+    """The point of a curve between two of its own where a test function is zero; None where it is infinite.
+
+    Args:
+        place, after: numbers of both points, which are neighbours unless said.
+        ends: values of the test function there.
+    """
+    track = curve.track.take(np.array([place, place + 1 if after is None else after]))
 
     def at(share: float) -> tuple[Solution, float]:
         solution = correct(plane, curve.kind, *across_chord(track.z, track.way, np.array([share])))

@@ -36,7 +36,7 @@ def errors_of_points(curve: Curve, others: Sequence[Curve]) -> Float[np.ndarray,
 def errors_of_special(
     planes: Sequence[ParameterPlane], others: Sequence[Curve], point: Special
 ) -> Float[np.ndarray, " 2"] | None:
-    """Errors of both parameters at a point of codimension two.
+    """Errors of both parameters at a point of codimension two, those of its test function's differences among them.
 
     They are NaN where finer maps do not follow the curve there; and None where these do and have no such point, which
     is then none: beside where cycles are born coefficients of the third order are differences of nearly nothing.
@@ -56,7 +56,7 @@ def errors_of_special(
             return None
         away = [np.abs((value - point.values) / (plane.high - plane.low)).max() for value in same]
         values.append(same[int(np.argmin(away))])
-    return _error(point.values, *values)
+    return _error(point.values, *values) + point.shift
 
 
 def _error(
