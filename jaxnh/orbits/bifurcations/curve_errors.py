@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.orbits.bifurcations.codimension_two import Special, special_points
-from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, correct, split_unknowns
+from jaxnh.orbits.continuation.curves import BifurcationEquations, Curve, ParameterPlane, correct, split_unknowns
 from jaxnh.orbits.multipliers import multipliers
 
 
@@ -23,14 +23,18 @@ def refine_curve(plane: ParameterPlane, curve: Curve) -> Curve:
     return replace(curve, points=points, values=values, track=track, multipliers=exponents)
 
 
-def errors_of_points(curve: Curve, others: Sequence[Curve]) -> Float[np.ndarray, "k 2"]:
+def errors_of_points(plane: ParameterPlane, curve: Curve, others: Sequence[Curve]) -> Float[np.ndarray, "k 2"]:
     """Errors of both parameters at all points of a curve, a point of the exact one being as near in both.
 
+    Maps without steps have finer ones that say the same to the last digit: what rounding moves points by is added.
+
     Args:
-        curve: of the map itself.
+        plane, curve: of the map itself.
         others: the same of maps with 2 and 4 times the steps (`refine_curve`).
     """
-    return _error(curve.values, *(other.values for other in others))
+    equations = BifurcationEquations(plane, curve.kind, curve.track.z.shape[1])
+    _, rounding = split_unknowns(plane, equations.rounding(curve.track.z))
+    return _error(curve.values, *(other.values for other in others)) + rounding
 
 
 def errors_of_special(
