@@ -119,6 +119,33 @@ def test_bars_of_points_of_maps(kind, multiplier):
     assert np.median(bars[regular]) < 1e-13
 
 
+@pytest.mark.parametrize(
+    ("kind", "multiplier", "name"), [(FOLD, 1.0, "cusp"), (DOUBLING, -1.0, "generalised_doubling")]
+)
+def test_bars_of_cusps_and_generalised_doublings_of_maps(kind, multiplier, name):
+    """At F″ = 0, and where the Schwarzian derivative is zero, F‴ + 3/2 F″² = 0 with a multiplier −1.
+
+    Bars know what the differences are wrong by that cubic coefficients are made of; no finer map does.
+    """
+    part = np.polynomial.Polynomial([0.0, 0.0, 0.7, -0.4, 0.2, -0.1])
+    second, third = part.deriv(2), part.deriv(3)
+    roots = (second if kind == FOLD else third + 1.5 * second**2).roots()
+    x = np.real(roots[np.abs(np.imag(roots)) < 1e-9])
+    c = multiplier - part.deriv()(x)
+    exact = np.stack([x - c * x - part(x), c], 1)
+    x = 0.1
+    c = multiplier - part.deriv()(x)
+    [curve] = follow_both_ways(WAVY, kind, np.array([[[x]]]), np.array([[x - c * x - part(x), c]]))
+    again = [refine_curve(WAVY, curve)] * 2
+    points = [point for point in special_points(WAVY, curve) if POINTS[point.kind] == name]
+    assert points
+    for point in points:
+        errors = errors_of_special([WAVY] * 3, [curve, *again], point)
+        off = np.abs(exact - point.values)
+        assert np.any(np.all(off <= errors + 1e-14, axis=1))  # 1e-14 of the roots
+        assert np.all(errors < 1e-8)
+
+
 def quadratic(u, values):
     """M (x, y) with the trace −2 + a² − δ² and the determinant b, about the fixed point 0."""
     (x, y), (a, b), zero, one = u.T, values.T, np.zeros(len(u)), np.ones(len(u))
@@ -269,7 +296,7 @@ def test_torus_boundary_of_van_der_pol(lanes, steps, near):
         exact = resonance_by_heyoka(point.values, point.points[0], cosine)
         gap = np.abs(point.values - exact)
         assert gap.max() < near
-        assert np.all(gap <= errors_of_special(others, again, point) + 1e-12)
+        assert np.all(gap <= errors_of_special([forced, *others], [curve, *again], point) + 1e-12)
     for k in range(0, len(curve.values), max(1, len(curve.values) // 4)):
         image, matrix = by_heyoka(curve.values[k], curve.points[k, 0])
         assert np.abs(image - curve.points[k, 0]).max() < near

@@ -242,7 +242,7 @@ def _of_orbits(
             CurvePoint(k, point, missed)
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
-            if (missed := errors_of_special(others, again[k], point)) is not None
+            if (missed := errors_of_special([plane, *others], [curve, *again[k]], point)) is not None
         ]
     return CurveSet(curves, errors, special)
 
