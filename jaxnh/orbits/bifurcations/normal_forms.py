@@ -7,8 +7,8 @@ r_{i+1} M_i = r_i and r_n q_n = 1, an amplitude x grows in a turn by the factor 
 
 w_n = w_0 and v_n = z² v_0, for a pair of complex z; a third of it for z = ±1 (Kuznetsov, Elements of Applied
 Bifurcation Theory, 2004, 5.4). Where the real part of s is negative the bifurcation is supercritical. Of an equilibrium
-it is the same with M = 1 + A and z = 1 + iω. B and C are differences of ∂P/∂u at u ± h Re q and u ± h Im q. What they say
-with h and with 2h is wrong by h², and both together by h⁴, less than how far that is from the same of 2h and 4h.
+it is the same with M = 1 + A and z = 1 + iω. B and C are differences of ∂P/∂u at u ± h Re q and u ± h Im q. With h
+and with 2h they are wrong by h², both together by h⁴: by less than how far that is from the same of 2h and 4h.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _left_vectors(
 def _rounding(
     family: Family, blocks: np.ndarray, q: np.ndarray, z: Complex[np.ndarray, " some"], real: bool
 ) -> Float[np.ndarray, " some"]:
-    """What rounding of ∂P/∂u makes of a coefficient through C, a difference over h²: four roundings, and 4/3 of that."""
+    """What rounding of ∂P/∂u makes of a coefficient by C, a difference over h²: four roundings, and 4/3 of that."""
     left, largest = _left_vectors(family, blocks, q, z, real), np.maximum(1.0, np.abs(blocks).max(axis=(2, 3)))
     each = np.abs(left).sum(axis=2) * largest * np.abs(q).sum(axis=2)
     unit = _ROUNDINGS * np.finfo(float).eps / _SHIFT**2
