@@ -10,7 +10,7 @@ import pytest
 from jaxnh.analyses.continuation.families import parameter_plane
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.codimension_two import POINTS, special_points
-from jaxnh.orbits.bifurcations.curve_errors import errors_of_special, refine_curve
+from jaxnh.orbits.bifurcations.curve_errors import errors_of_points, errors_of_special, refine_curve
 from jaxnh.orbits.continuation.curves import ParameterPlane, follow_both_ways
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.continuation.paths import CLOSED, RANGE, RESONANCE, StepControl
@@ -80,6 +80,70 @@ def test_curves_of_henon():
     for name, exact in known.items():
         near = 1e-6 if name == "resonance_1_1" else ROUNDING  # the multipliers there go like a root
         assert found[name] == pytest.approx((exact, -1.0), abs=near)
+
+
+def wavy(u, values):
+    """x → a + c x + 0.7 x² − 0.4 x³ + 0.2 x⁴ − 0.1 x⁵, in parameters (a, c)."""
+    x, (a, c) = u[:, 0], values.T
+    slope = c + x * (1.4 + x * (-1.2 + x * (0.8 - 0.5 * x)))
+    image = a + x * (c + x * (0.7 + x * (-0.4 + x * (0.2 - 0.1 * x))))
+    return Derivatives(image[:, None], slope[:, None, None], np.stack([0 * x + 1, x], 1)[:, None])
+
+
+WAVY = plane(wavy, 1, (-2.0, -3.0), (2.0, 3.0))
+
+
+@pytest.mark.parametrize(("kind", "multiplier"), [(FOLD, 1.0), (DOUBLING, -1.0)])
+def test_bars_of_points_of_maps(kind, multiplier):
+    """A map has no finer one: what is left is rounding, which the bars cover at 95 in 100 points.
+
+    Of a critical x the parameters are c = μ − F′(x) and a = x − c x − F(x), in extended precision; slopes of the curve,
+    da/dc = −x − (1 − μ)/F″, say how far the bars of both parameters reach.
+    """
+    x = np.longdouble(0.1)
+    c = multiplier - (x * (1.4 + x * (-1.2 + x * (0.8 - 0.5 * x))))
+    start = np.array([[float(x - c * x - x * x * (0.7 + x * (-0.4 + x * (0.2 - 0.1 * x)))), float(c)]])
+    [curve] = follow_both_ways(WAVY, kind, np.array([[[float(x)]]]), start)
+    errors = errors_of_points(WAVY, curve, [refine_curve(WAVY, curve)] * 2)
+    a, c = curve.values.T.astype(np.longdouble)
+    x = curve.points[:, 0, 0].astype(np.longdouble)
+    # Coefficients as the map has them, in double precision.
+    two, three, four, five = (np.longdouble(k) for k in (0.7, -0.4, 0.2, -0.1))
+    for _ in range(4):
+        bend = 2 * two + x * (6 * three + x * (12 * four + 20 * five * x))
+        x = x - (c + x * (2 * two + x * (3 * three + x * (4 * four + 5 * five * x))) - multiplier) / bend
+    off = np.abs(a - (x - c * x - x * x * (two + x * (three + x * (four + five * x)))))
+    bars = errors[:, 0] + np.abs(-x - (1 - multiplier) / bend) * errors[:, 1]
+    regular = np.abs(bend) > 0.05  # beside a cusp c says little of a
+    assert np.mean((off <= bars)[regular]) >= 0.95
+    assert np.median(bars[regular]) < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("kind", "multiplier", "name"), [(FOLD, 1.0, "cusp"), (DOUBLING, -1.0, "generalised_doubling")]
+)
+def test_bars_of_cusps_and_generalised_doublings_of_maps(kind, multiplier, name):
+    """At F″ = 0, and where the Schwarzian derivative is zero, F‴ + 3/2 F″² = 0 with a multiplier −1.
+
+    Bars know what the differences are wrong by that cubic coefficients are made of; no finer map does.
+    """
+    part = np.polynomial.Polynomial([0.0, 0.0, 0.7, -0.4, 0.2, -0.1])
+    second, third = part.deriv(2), part.deriv(3)
+    roots = (second if kind == FOLD else third + 1.5 * second**2).roots()
+    x = np.real(roots[np.abs(np.imag(roots)) < 1e-9])
+    c = multiplier - part.deriv()(x)
+    exact = np.stack([x - c * x - part(x), c], 1)
+    x = 0.1
+    c = multiplier - part.deriv()(x)
+    [curve] = follow_both_ways(WAVY, kind, np.array([[[x]]]), np.array([[x - c * x - part(x), c]]))
+    again = [refine_curve(WAVY, curve)] * 2
+    points = [point for point in special_points(WAVY, curve) if POINTS[point.kind] == name]
+    assert points
+    for point in points:
+        errors = errors_of_special([WAVY] * 3, [curve, *again], point)
+        off = np.abs(exact - point.values)
+        assert np.any(np.all(off <= errors + 1e-14, axis=1))  # 1e-14 of the roots
+        assert np.all(errors < 1e-8)
 
 
 def quadratic(u, values):
@@ -232,7 +296,7 @@ def test_torus_boundary_of_van_der_pol(lanes, steps, near):
         exact = resonance_by_heyoka(point.values, point.points[0], cosine)
         gap = np.abs(point.values - exact)
         assert gap.max() < near
-        assert np.all(gap <= errors_of_special(others, again, point) + 1e-12)
+        assert np.all(gap <= errors_of_special([forced, *others], [curve, *again], point) + 1e-12)
     for k in range(0, len(curve.values), max(1, len(curve.values) // 4)):
         image, matrix = by_heyoka(curve.values[k], curve.points[k, 0])
         assert np.abs(image - curve.points[k, 0]).max() < near

@@ -236,13 +236,13 @@ def _of_orbits(
     curves.sort(key=lambda curve: (curve.period, curve.kind))
     with lanes.stage(f"curves: errors of {len(curves)}", 0):
         again = [[refine_curve(other, curve) for other in others] for curve in curves]
-        errors = [errors_of_points(*both) for both in zip(curves, again, strict=True)]
+        errors = [errors_of_points(plane, *both) for both in zip(curves, again, strict=True)]
     with lanes.stage(f"curves: points of codimension two on {len(curves)}", 0):
         special = [
             CurvePoint(k, point, missed)
             for k, curve in enumerate(curves)
             for point in special_points(plane, curve)
-            if (missed := errors_of_special(others, again[k], point)) is not None
+            if (missed := errors_of_special([plane, *others], [curve, *again[k]], point)) is not None
         ]
     return CurveSet(curves, errors, special)
 

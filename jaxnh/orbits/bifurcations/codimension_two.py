@@ -14,14 +14,15 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits.bifurcations.location import critical
-from jaxnh.orbits.bifurcations.normal_forms import cubic
+from jaxnh.orbits.bifurcations.location import NODES, critical, roots
+from jaxnh.orbits.bifurcations.normal_forms import Cubic, cubic
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector
 from jaxnh.orbits.continuation.core import Solution
 from jaxnh.orbits.continuation.curves import (
     Curve,
     ParameterPlane,
     correct,
+    join_unknowns,
     split_unknowns,
     test_function,
 )
@@ -50,6 +51,7 @@ BOGDANOV_TAKENS, GENERALISED_HOPF, ZERO_HOPF, DOUBLE_HOPF = range(ONE_FOUR + 1, 
 
 _SECANTS = 60
 _KNOWN = 1e-13  # of the chord, or of the larger of both values: a zero is known to rounding
+_BESIDE = (1e-3, 1e-2, 1e-1)  # of a chord, half of what nodes about a zero reach
 _POLE = 0.2  # of the smaller of both values of a test function: what is no smaller at its zero is a pole
 _NEIGHBOURS = 2  # points of a curve further apart, between which a test function is not known, show no zero of it
 _OF_CUBICS = CHENCINER, GENERALISED_DOUBLING
@@ -65,7 +67,6 @@ class Special(NamedTuple):
         place: of the point of the curve before it.
         points: the orbit, (n, d).
         multipliers: of it, (d,).
-        shift: of both values, by the differences that its test function is made of, (2,).
     """
 
     kind: int
@@ -73,7 +74,6 @@ class Special(NamedTuple):
     place: int
     points: Float[np.ndarray, "n d"]
     multipliers: Complex[np.ndarray, " d"]
-    shift: Float[np.ndarray, " 2"] | float = 0.0
 
 
 def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
@@ -85,9 +85,7 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
         changes = (np.diff(np.signbit(values[known])) != 0) & (np.diff(known) <= _NEIGHBOURS)
         for place, after in zip(known[:-1][changes].tolist(), known[1:][changes].tolist(), strict=True):
             if at := _locate(plane, curve, test, place, (float(values[place]), float(values[after])), after):
-                slope = (curve.values[after] - curve.values[place]) / (values[after] - values[place])
-                missed = np.abs(slope * _cubic(plane, curve.kind, at)[1, 0]) if kind in _OF_CUBICS else 0.0
-                points.append(_special(plane, kind, place, at)._replace(shift=missed))
+                points.append(_special(plane, kind, place, at))
     if curve.kind == NEIMARK_SACKER and len(plane.size) == 2:
         turns = _turning(curve.track)
         for place in np.flatnonzero(turns[1:] * turns[:-1] < 0.0).tolist():
@@ -97,21 +95,66 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
     if curve.kind == FOLD:
         ways = curve.track.way[:, -2:]
         for place in np.flatnonzero(np.sum(ways[1:] * ways[:-1], axis=1) < 0.0).tolist():
-
-            def forward(track: Solution, first: np.ndarray = ways[place]) -> np.ndarray:
-                return track.way[:, -2:] @ first
-
             ends = float(ways[place] @ ways[place]), float(ways[place + 1] @ ways[place])
-            if at := _locate(plane, curve, forward, place, ends):
+            if at := _locate(plane, curve, _forward(curve, place), place, ends):
                 points.append(_special(plane, CUSP, place, at))
     return sorted(points, key=lambda point: point.place)
 
 
 def _known_signs(plane: ParameterPlane, curve: Curve) -> Float[np.ndarray, " points"]:
-    """The cubic coefficients of a curve; NaN where the sign of one is no more than the error of its differences."""
-    coefficient, error = _cubic(plane, curve.kind, curve.track)
+    """The cubic coefficients of a curve; NaN where the sign of one is no more than its error."""
+    cubics = _cubic(plane, curve.kind, curve.track)
     with np.errstate(invalid="ignore"):
-        return np.where(np.abs(coefficient) > error, coefficient, np.nan)
+        return np.where(np.abs(cubics.coefficient) > cubics.error, cubics.coefficient, np.nan)
+
+
+def location_errors(plane: ParameterPlane, curve: Curve, point: Special) -> Float[np.ndarray, " 2"]:
+    """Errors of both parameters by where the test function of a point is zero on its curve; NaN where it is not known.
+
+    The function is taken at nodes beside the point: a polynomial through them shows rounding, and how fast it passes
+    zero what an error of it is worth. Cubic coefficients, which are differences, say their own.
+    """
+    track = curve.track.take(slice(point.place, point.place + 2))
+    chord = track.z[1] - track.z[0]
+    z, across = join_unknowns(plane, point.points[None], point.values[None]), np.tile(chord, (len(NODES), 1))
+    across /= np.linalg.norm(chord)
+    best = np.full(2, np.inf)
+    for width in _BESIDE:
+        nodes = correct(plane, curve.kind, z + width * NODES[:, None] * chord, across)
+        if not nodes.converged.all():
+            continue
+        values = split_unknowns(plane, nodes.z)[1]
+        for test in _tests_of(plane, curve, point):
+            with np.errstate(all="ignore"):
+                tests = test(nodes)
+                _, _, value, error, _ = roots(np.repeat(tests[None], 2, axis=0), np.ascontiguousarray(values.T))
+                slope = np.abs((values[-1] - values[0]) / (tests[-1] - tests[0]))
+                total = error + np.abs(value - point.values) + slope * _test_error(plane, curve.kind, point.kind, nodes)
+            best = np.fmin(best, total)
+    return np.where(np.isfinite(best), best, np.nan)
+
+
+def _tests_of(
+    plane: ParameterPlane, curve: Curve, point: Special
+) -> list[Callable[[Solution], Float[np.ndarray, " lanes"]]]:
+    """Test functions of which one is zero at a point of codimension two."""
+    if point.kind == CUSP:
+        return [_forward(curve, point.place)]
+    turns = curve.kind == NEIMARK_SACKER and len(plane.size) == 2 and point.kind in (ONE_ONE, ONE_TWO)
+    return [_tests(plane, curve.kind)[point.kind], *([_turning] if turns else [])]
+
+
+def _test_error(plane: ParameterPlane, kind: int, special: int, nodes: Solution) -> float:
+    """Return the error of a test function that is a cubic coefficient; zero of others."""
+    if special not in _OF_CUBICS:
+        return 0.0
+    return float(np.max(_cubic(plane, kind, nodes).error))
+
+
+def _forward(curve: Curve, place: int) -> Callable[[Solution], Float[np.ndarray, " lanes"]]:
+    """The share of a curve's direction, in the parameters, along the one at a place: zero at a cusp."""
+    first = curve.track.way[place, -2:]
+    return lambda track: track.way[:, -2:] @ first
 
 
 def _special(plane: ParameterPlane, kind: int, place: int, at: Solution) -> Special:
@@ -127,7 +170,7 @@ def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[Solution], F
             return lambda track: angle_cosine(multipliers(track.blocks)) - cosine
 
         tests = {point: to_cosine(cosine) for point, cosine in _COSINES.items()}
-        return {CHENCINER: lambda track: _cubic(plane, kind, track)[0], **tests}
+        return {CHENCINER: lambda track: _cubic(plane, kind, track).coefficient, **tests}
     critical = 1.0 if kind == FOLD else -1.0
     other, resonance = (DOUBLING, ONE_ONE) if kind == FOLD else (FOLD, ONE_TWO)
     tests: dict[int, Callable[[Solution], np.ndarray]] = {
@@ -135,7 +178,7 @@ def _tests(plane: ParameterPlane, kind: int) -> dict[int, Callable[[Solution], F
         resonance: lambda track: _product_of_others(multipliers(track.blocks), critical),
     }
     if kind == DOUBLING:
-        tests[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track)[0]
+        tests[GENERALISED_DOUBLING] = lambda track: _cubic(plane, kind, track).coefficient
     return tests
 
 
@@ -158,8 +201,8 @@ def _turning(track: Solution) -> Float[np.ndarray, " lanes"]:
     return whole[:, 1, 0] - whole[:, 0, 1]
 
 
-def _cubic(plane: ParameterPlane, kind: int, track: Solution) -> Float[np.ndarray, "2 lanes"]:
-    """The cubic coefficient of the normal form of each point, over its own number as parameter, and its error."""
+def _cubic(plane: ParameterPlane, kind: int, track: Solution) -> Cubic:
+    """The cubic coefficient of the normal form of each point, over its own number in place of a parameter."""
     points, values = split_unknowns(plane, track.z)
     lanes, n, d = points.shape
 
@@ -171,12 +214,16 @@ def _cubic(plane: ParameterPlane, kind: int, track: Solution) -> Float[np.ndarra
         points, np.arange(lanes, dtype=float), way, track.blocks, none, none, none, track.converged, way
     )
     family = Family(period, plane.wrap, plane.size, 0.0, float(max(lanes, 1)))
-    known, subset = np.full((2, lanes), np.nan), np.arange(lanes)
+    subset = np.arange(lanes)
     if kind == NEIMARK_SACKER:  # beyond strong resonances there are no complex multipliers
         subset = np.flatnonzero(np.isfinite(critical(family, multipliers(track.blocks))))
     with np.errstate(divide="ignore", invalid="ignore"):  # at strong resonances it is infinite
-        known[:, subset] = cubic(family, orbits.take(subset), np.full(len(subset), kind))[:2]
-    return known
+        form = cubic(family, orbits.take(subset), np.full(len(subset), kind))
+    missing = np.full(lanes, np.nan)
+    whole = Cubic(missing, missing.copy(), np.zeros(lanes, int), np.zeros(points.shape, complex))
+    for leaf, part in zip(whole, form, strict=True):
+        leaf[subset] = part
+    return whole
 
 
 def _locate(

@@ -7,8 +7,8 @@ r_{i+1} M_i = r_i and r_n q_n = 1, an amplitude x grows in a turn by the factor 
 
 w_n = w_0 and v_n = z² v_0, for a pair of complex z; a third of it for z = ±1 (Kuznetsov, Elements of Applied
 Bifurcation Theory, 2004, 5.4). Where the real part of s is negative the bifurcation is supercritical. Of an equilibrium
-it is the same with M = 1 + A and z = 1 + iω. B and C are differences of ∂P/∂u at u ± h Re q and u ± h Im q, and s is
-extrapolated from h and 2h (Richardson), with 2h and 4h beside it for the error.
+it is the same with M = 1 + A and z = 1 + iω. B and C are differences of ∂P/∂u at u ± h Re q and u ± h Im q. With h
+and with 2h they are wrong by h², both together by h⁴: by less than how far that is from the same of 2h and 4h.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, eigenv
 CRITICALITIES = ("subcritical", "none", "supercritical")
 """Signs of −s: −1, 0 where it is not known or there is none, 1."""
 
-_SHIFT = 1e-3  # h, in sizes of the motion: s is wrong by its fourth power, and by roundings over its square
-_SHIFTS = (1, 2, 4)
+_SHIFT = 1e-3  # h, in sizes of the motion
+_ROUNDINGS = 8.0  # of ∂P/∂u, whose operations are many
 _REAL = {DOUBLING: -1.0, BRANCH_POINT: 1.0}  # z
 _COVER = 4.0  # the change with twice the h times this covers the error in 96 of 100 where roundings, as normal, are it
 _CERTAIN = 2.0  # the sign of a coefficient is known where it is so many times its error
@@ -40,8 +40,7 @@ class Cubic(NamedTuple):
 
     Attributes:
         coefficient: real part of s, in sizes of the motion, (some,); of a fold NaN.
-        error: of it, by the change with twice the h, which leaves 16 times as much out and has a quarter of the
-            roundings, and by those of one derivative, (some,).
+        error: of it, by the change with twice the h and by the roundings of derivatives, (some,).
         criticality: −1, 0 or 1, (some,).
         vectors: q of length one, at each point of the orbit, in sizes of the motion, (some, n, d).
     """
@@ -69,10 +68,10 @@ def cubic(family: Family, orbits: CurveOrbits, kind: Int[np.ndarray, " some"]) -
         q = _normal(family, _null(at_points.blocks, z, real))
         parts = (np.real(q),) if real else (np.real(q), np.imag(q))
         moved = _moved_blocks(family, at_points, parts)
-        each = [_coefficient(family, at_points, q, z, real, k * _SHIFT, moved[:, i]) for i, k in enumerate(_SHIFTS)]
-        fine, coarse = ((4.0 * narrow - wide) / 3.0 for narrow, wide in itertools.pairwise(each))
-        rounding = 0.5 * np.spacing(np.abs(at_points.blocks).max(axis=(1, 2, 3))) / _SHIFT**2
-        result.coefficient[subset], result.error[subset] = fine, _COVER * np.abs(coarse - fine) + rounding
+        plain = [_coefficient(family, at_points, q, z, real, 2.0**k * _SHIFT, moved[:, k]) for k in range(3)]
+        first, two = (near + (near - far) / 3.0 for near, far in itertools.pairwise(plain))
+        result.coefficient[subset] = first
+        result.error[subset] = _COVER * np.abs(two - first) + _rounding(family, at_points.blocks, q, z, real)
         result.vectors[subset] = q
     with np.errstate(invalid="ignore"):
         sure = np.abs(result.coefficient) > _CERTAIN * result.error
@@ -97,14 +96,11 @@ def _coefficient(
     moved: Float[np.ndarray, "parts 2 some n d d"],
 ) -> Float[np.ndarray, " some"]:
     """Real part of s with differences of derivatives at points moved by ±h along the real and imaginary parts of q."""
-    blocks = orbits.blocks
+    blocks, left = orbits.blocks, _left_vectors(family, orbits.blocks, q, z, real)
     first, second = np.zeros(blocks.shape, complex), np.zeros(blocks.shape)
     for factor, (ahead, behind) in zip((1.0, 1j), moved, strict=False):
         first = first + factor * (ahead - behind) / (2.0 * h)  # B(q, ·)
         second = second + (ahead - 2.0 * blocks + behind) / h**2  # C(q, q̄, ·)
-    left = _left(blocks, z, real)
-    ends = _times(blocks, q) if not family.field else q
-    left = left / np.sum(left[:, -1] * ends[:, -1], axis=1)[:, None, None]
     back = np.conj(first)
     if real:
         v = w = _real_response(blocks, left, np.real(_times(first, q)), bool(np.all(np.real(z) > 0.0)))
@@ -115,11 +111,30 @@ def _coefficient(
     return np.real(np.sum(left * g, axis=(1, 2))) * (1 / 3 if real else 1.0)
 
 
+def _left_vectors(
+    family: Family, blocks: np.ndarray, q: np.ndarray, z: Complex[np.ndarray, " some"], real: bool
+) -> Complex[np.ndarray, "some n d"]:
+    """r_{i+1} at place i, with r_n q_n = 1."""
+    left = _left(blocks, z, real)
+    ends = _times(blocks, q) if not family.field else q
+    return left / np.sum(left[:, -1] * ends[:, -1], axis=1)[:, None, None]
+
+
+def _rounding(
+    family: Family, blocks: np.ndarray, q: np.ndarray, z: Complex[np.ndarray, " some"], real: bool
+) -> Float[np.ndarray, " some"]:
+    """What rounding of ∂P/∂u makes of a coefficient by C, a difference over h²: four roundings, and 4/3 of that."""
+    left, largest = _left_vectors(family, blocks, q, z, real), np.maximum(1.0, np.abs(blocks).max(axis=(2, 3)))
+    each = np.abs(left).sum(axis=2) * largest * np.abs(q).sum(axis=2)
+    unit = _ROUNDINGS * np.finfo(float).eps / _SHIFT**2
+    return 8.0 / 3.0 * unit * each.sum(axis=1) * (1 / 3 if real else 1.0)
+
+
 def _moved_blocks(
     family: Family, orbits: CurveOrbits, parts: Sequence[np.ndarray]
 ) -> Float[np.ndarray, "parts 3 2 some n d d"]:
-    """∂P/∂u in sizes at points moved along ways given in sizes by h and −h, by twice, and by four times as much."""
-    shifts = _SHIFT * np.multiply.outer(_SHIFTS, [1.0, -1.0])
+    """∂P/∂u in sizes at points moved along ways given in sizes by h and −h, and by 2h and 4h as well, in one call."""
+    shifts = _SHIFT * np.array([[1.0, -1.0], [2.0, -2.0], [4.0, -4.0]])
     ways = np.stack(parts)[:, None, None] * family.size
     points = orbits.points + shifts[..., None, None, None] * ways
     values = np.broadcast_to(orbits.value[:, None], points.shape[:-1])

@@ -30,6 +30,8 @@ CURVE_STEPS = StepControl(max_steps=500)
 
 _SHIFT = 1e-6  # of central differences, in lengths: their error is its square, and rounding over it
 _NEUTRAL = 0.01  # beyond ±1 of the cosine: so far into neutral saddles, tori may begin again at a second resonance
+_ROUNDINGS = 8.0  # of a period of the map and of ∂P/∂u, whose operations are many
+_ENTRY = 2.0**-10  # of entries of ∂P/∂u, in which determinants are of first order, and of minors of second
 _CURVED = 1e-2  # second differences of a test function, of first ones: beyond, derivatives are not known
 
 
@@ -199,8 +201,23 @@ class BifurcationEquations:
 
     def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
         """Residuals of the orbit and the test function, ∂P/∂u, and the derivatives of all in the unknowns."""
-        missing, slopes, blocks = _equations(self._plane, self._kind, z)
+        missing, slopes, blocks, _ = _equations(self._plane, self._kind, z)
         return Evaluation(missing, blocks, slopes)
+
+    def rounding(self, z: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
+        """Return how far rounding of the equations moves solutions across the curve: bounds of each unknown.
+
+        Rounding of P and of ∂P/∂u goes through the test function and the equations' least solution.
+        """
+        _, slopes, blocks, scale = _equations(self._plane, self._kind, z)
+        unit = _ROUNDINGS * np.finfo(float).eps
+        missed = np.ones((len(z), slopes.shape[1]))
+        missed[:, :-1] += np.abs(z[:, :-2]) * np.sqrt(blocks.shape[1])  # coordinates in sizes of the motion
+        missed[:, -1] = _response(self._kind, blocks) / scale
+        moved = np.full_like(z, np.nan)
+        known = np.flatnonzero(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(missed[:, -1]))
+        moved[known] = np.einsum("lij,lj->li", np.abs(np.linalg.pinv(slopes[known])), unit * missed[known])
+        return moved + np.spacing(np.abs(z))
 
     def solve(self, at: Evaluation, /) -> LinearSolution:
         """Solve by singular values."""
@@ -243,8 +260,11 @@ def _wrapped(plane: ParameterPlane, gap: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def _equations(
     plane: ParameterPlane, kind: int, z: Float[np.ndarray, "lanes N"]
-) -> tuple[Float[np.ndarray, "lanes rows"], Float[np.ndarray, "lanes rows N"], Float[np.ndarray, "lanes n d d"]]:
-    """Residuals of the orbit and the test function, their derivatives in the unknowns, and ∂P/∂u, all in units."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Float[np.ndarray, " lanes"]]:
+    """Residuals of the orbit and the test function, their derivatives in the unknowns, and ∂P/∂u, all in units.
+
+    And what the test function is divided by, the length of its derivatives.
+    """
     (points, values), lanes = split_unknowns(plane, z), len(z)
     n, d = points.shape[1:]
     width = plane.high - plane.low
@@ -281,7 +301,20 @@ def _equations(
         slopes[:, -1] = (change / _SHIFT).T * np.append(np.full(n * d, np.sqrt(n)), [1.0, 1.0])
         scale = np.linalg.norm(slopes[:, -1], axis=1)
         slopes[:, -1] /= scale[:, None]
-        return np.concatenate([missing.reshape(lanes, -1), (test / scale)[:, None]], axis=1), slopes, blocks
+        residual = np.concatenate([missing.reshape(lanes, -1), (test / scale)[:, None]], axis=1)
+    return residual, slopes, blocks, scale
+
+
+def _response(kind: int, blocks: Float[np.ndarray, "lanes n d d"]) -> Float[np.ndarray, " lanes"]:
+    """Return Σ |∂test/∂M_ij| max(1, |M|): what relative changes of all entries of ∂P/∂u make of the test function."""
+    largest = np.maximum(1.0, np.abs(blocks).max(axis=(2, 3)))
+    entries = np.array(list(np.ndindex(blocks.shape[1:])))
+    sides = np.broadcast_to(blocks, (2, len(entries), *blocks.shape)).copy()
+    for number, (k, i, j) in enumerate(entries.tolist()):
+        for side, sign in enumerate((1.0, -1.0)):
+            sides[side, number, :, k, i, j] += sign * _ENTRY * largest[:, k]
+    tests = _finite_test(kind, sides.reshape(-1, *blocks.shape[1:])).reshape(2, len(entries), len(blocks))
+    return np.sum(np.abs(tests[0] - tests[1]), axis=0) / (2.0 * _ENTRY)
 
 
 def _finite_test(kind: int, blocks: np.ndarray) -> np.ndarray:
