@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from jaxnh.analyses.cascade.doubling import orbit_width
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 
 REAL = np.longdouble
@@ -185,6 +186,28 @@ def test_too_few():
     exact = doublings_limit(hidden, np.full(6, 1e-15))
     assert abs(exact.ratio - 5.0) < exact.ratio_error
     assert abs(exact.value - 1.0) < exact.error
+
+
+def test_pairs_astride_a_jump_have_no_part_in_widths():
+    """Orbits of the logistic map near its doublings, one point of which has jumped by one and its partner not yet.
+
+    The strobe of an impact oscillator over its drive's frequency has such pairs at some levels and not at others, and
+    α was 1.1 ± 0.2 there.
+    """
+    widths, plain = [], []
+    for level, a in ((3, 3.5644), (4, 3.5688), (5, 3.56969)):
+        n = 2**level
+        points = [0.5]
+        for _ in range(200_000):
+            points.append(a * points[-1] * (1.0 - points[-1]))
+        orbit = np.array(points[-n:])[:, None]
+        plain.append(orbit_width(lambda gap: gap, orbit, np.ones(1), jumps=True))
+        largest = int(np.argmax(np.abs(orbit - np.roll(orbit, n // 2, axis=0))))
+        orbit[(largest + 2) % n] += 1.0
+        widths.append(orbit_width(lambda gap: gap, orbit, np.ones(1), jumps=True))
+        assert orbit_width(lambda gap: gap, orbit, np.ones(1), jumps=False) > 0.9
+    assert widths == plain
+    assert np.isnan(widths_limit(np.array([2.4, 2.1, 2.2, 0.025, 2.2]), np.full(5, 1e-12))).all()
 
 
 @pytest.mark.parametrize("factor", [-1e-6, 1e6])

@@ -27,7 +27,9 @@ from jaxnh.analyses.options.orbits import DoublingOptions
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits
 from jaxnh.analyses.periodic.sensitivities import doubling_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import absent_words, sensitivity_variables, sensitivity_words
-from jaxnh.maps.section import System
+from jaxnh.maps.section import System, flow_of
+from jaxnh.systems.chart import Wrap
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
 _NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")
@@ -35,6 +37,7 @@ _BETWEEN = np.array([1.0, math.pi]) / (1.0 + math.pi)  # shares of two values: n
 _OWN_NAMES = ("level", "parameter", "period", "delta", "delta_error", *_NUMBERS)
 _MOST_SHOWN = 16  # cascades in a table of many
 _ROUNDING = 1e-14  # of points of an orbit, in sizes of the motion
+_ASTRIDE = 10.0  # of the distances a period before and after: a pair further apart has a jump between its points
 _DIGITS = 4  # of a limit in words, at least
 _LEVELS = 12  # of float64, of which the distances of doublings are then 1e-9 of the first
 
@@ -189,20 +192,31 @@ def _deltas(
 
 
 def _widths(system: System, cascade: Cascade) -> tuple[Float[np.ndarray, " even"], Float[np.ndarray, " even"]]:
-    """Widths of the orbits of even period, and their errors, by step refinement and by the rounding of the parameter.
-
-    The width is the largest distance of a point from that half a period later, in sizes of the motion: near the
-    extremum of the map that the motion contracts to, where it falls by α a level, elsewhere faster.
-    """
-    even = [level for level in cascade.doublings if len(level.point.orbit) % 2 == 0]
-
-    def width(orbit: Float[np.ndarray, "n d"]) -> float:
-        apart = system.chart.wrap(orbit - np.roll(orbit, len(orbit) // 2, axis=0))
-        return float(np.linalg.norm(apart / cascade.size, axis=1).max())
-
-    widths = np.array([[width(point.orbit) for point in level.refined] for level in even]).reshape(-1, 3)
+    """Widths of the orbits of even period, and their errors by step refinement and by rounding of the parameter."""
+    even, flow = [level for level in cascade.doublings if len(level.point.orbit) % 2 == 0], flow_of(system)
+    jumps = isinstance(flow, PiecewiseSmooth) and flow.needs_events
+    widths = np.array(
+        [
+            [orbit_width(system.chart.wrap, point.orbit, cascade.size, jumps=jumps) for point in level.refined]
+            for level in even
+        ]
+    ).reshape(-1, 3)
     errors = np.abs(np.diff(widths, axis=1)).sum(axis=1) + _ROUNDING
     return widths[:, 1], errors
+
+
+def orbit_width(wrap: Wrap, orbit: Float[np.ndarray, "n d"], size: Float[np.ndarray, " d"], *, jumps: bool) -> float:
+    """Return the largest distance of a point from that half a period later, in sizes of the motion.
+
+    It is near the extremum of the map that the motion contracts to, and falls by α a level, elsewhere faster. Where
+    states jump, pairs of points one of which is before a jump and the other after it are left out: theirs is that of
+    the jump at every level.
+    """
+    distance = np.linalg.norm(wrap(orbit - np.roll(orbit, len(orbit) // 2, axis=0)) / size, axis=1)
+    if jumps:
+        beside = np.maximum(np.roll(distance, 1), np.roll(distance, -1))
+        distance = distance[distance <= _ASTRIDE * beside]
+    return float(distance.max())
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:

@@ -101,7 +101,10 @@ def doublings_limit(values: Float[np.ndarray, " levels"], errors: Float[np.ndarr
 
 
 def widths_limit(widths: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]) -> Limit:
-    """α of widths of orbits at successive doublings, of three or more; their limit is zero."""
+    """α of widths of orbits at successive doublings, of three or more since they last grew; their limit is zero."""
+    grew = np.flatnonzero(np.diff(widths) >= 0.0)
+    last = int(grew[-1]) + 1 if len(grew) else 0
+    widths, errors = widths[last:], errors[last:]
     if len(widths) < 3:
         return _UNKNOWN
     return _limit(widths, errors, widths[-2] / widths[-1], _WIDTHS)
