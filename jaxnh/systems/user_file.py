@@ -230,16 +230,13 @@ class UserFile:
 
     @functools.cached_property
     def can_scale_time(self) -> bool:
-        """Tell whether it is a right-hand side with a period, without jumps, switches and corners."""
-        if self.mechanical or self.discrete:
-            return False
-        definition = self._with_switches(**self.parameters)
-        return "period" in definition and not any(definition.get(kind) for kind in EVENTS)
+        """Tell whether it is a right-hand side with a period."""
+        return not (self.mechanical or self.discrete) and "period" in self.define(**self.parameters)
 
     @functools.cached_property
     def _over_period(self) -> Callable[..., Mapping[str, Any]]:
         """Its definition in time over the period."""
-        return in_periods(self.define)
+        return in_periods(self._with_switches)
 
     @functools.cached_property
     def _with_switches(self) -> Callable[..., Mapping[str, Any]]:

@@ -136,3 +136,51 @@ analyses:
     for value, amplitude in zip(w[known][::4], h[known][::4], strict=True):
         exact = brentq(damped_multiplier, value - 1e-3, value + 1e-3, args=(amplitude, 0.1), xtol=1e-13)
         assert abs(value - exact) < 1e-8
+
+
+IMPACTS = """\
+import jax.numpy as jnp
+
+def system(w=2.4, r=0.8):
+    def rhs(y, t):
+        x, v = y
+        return v, jnp.cos(w * t) - x
+
+    wall = {"when": lambda y, t: y[0], "direction": "down", "then": lambda y, t: (y[0], -r * y[1])}
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2 * jnp.pi / w, "jumps": [wall]}
+"""
+
+
+def one_impact_a_period(w, r=0.8):
+    """State at t = 0 of the motion of x″ + x = cos wt above a wall at x = 0 that meets it once a period, in closed form.
+
+    From an impact at the phase φ on it is x = α cos t + β sin t + k cos(wt + φ), k = 1/(1 − w²), with x = 0 at both ends
+    of the period T and the velocity u after the first and −u/r before the second.
+    """
+    period, k = 2 * np.pi / w, 1 / (1 - w * w)
+    slope = (np.cos(period) - 1) / np.sin(period)  # β is this times k cos φ, and α = −k cos φ
+    after, before = slope, np.sin(period) + slope * np.cos(period)
+    phase = np.arctan((after / r + before) / (w * (1 + 1 / r)))
+    phase += np.pi * (k * (slope * np.cos(phase) - w * np.sin(phase)) < 0.0)  # it leaves the wall
+    alpha, beta, t = -k * np.cos(phase), slope * k * np.cos(phase), np.mod(-phase, 2 * np.pi) / w
+    x = alpha * np.cos(t) + beta * np.sin(t) + k * np.cos(w * t + phase)
+    return x, -alpha * np.sin(t) + beta * np.cos(t) - k * w * np.sin(w * t + phase)
+
+
+def test_impact_oscillator_over_its_drives_frequency(user_flow):
+    """The branch of one impact a period in closed form, whose multipliers have the product r²."""
+    config = """\
+initial: {x: 0.5, v: 0.0}
+sweep: {w: {start: 2.35, stop: 2.6, count: 4}}
+accuracy: {target: 1.0e-9}
+analyses:
+  branches: {max_period: 1, transient: 64}
+"""
+    data = user_flow(IMPACTS, config).run("branches").isel(branch=0)
+    known = np.isfinite(data["w"].to_numpy())
+    assert known.sum() > 10
+    for name, exact in zip(("x", "v"), one_impact_a_period(data["w"].to_numpy()[known]), strict=True):
+        assert np.abs(data[name].to_numpy()[known] - exact).max() < 1e-8
+    real, imaginary = np.moveaxis(data["multipliers"].to_numpy()[known], -1, 0)
+    product = np.prod(real + 1j * imaginary, axis=-1)
+    assert np.abs(product - 0.64).max() < 1e-8
