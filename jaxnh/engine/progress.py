@@ -25,7 +25,7 @@ class Progress(Protocol):
         """Report a note, as of tiles that are there already."""
 
     def warn(self, text: str) -> None:
-        """Report a fault that was mended, as a damaged tile that is computed again."""
+        """Report a fault that was mended, as a damaged tile that is computed again, or what a result warns of."""
 
 
 class NullProgress:

@@ -186,7 +186,8 @@ class Session:
                 that name or adds one, a number fixes it. Axes of the experiment that are not named stay.
 
         Returns:
-            The dataset, with the axes as dimensions in the order of the experiment, then of the call.
+            The dataset, with the axes as dimensions in the order of the experiment, then of the call. Its `warnings`,
+            as of lanes that have failed or of a search that found nothing, are each a `JaxnhWarning` too.
 
         Raises:
             InputError: there is no such analysis, option, parameter or coordinate, or they do not go together.
@@ -298,6 +299,8 @@ class Session:
             whole, of_lanes = self._stage(experiment, requested, stage, level)
         for data in whole.values():
             data.attrs["axes"] = " ".join(job.cutting.names)
+            for line in filter(None, str(data.attrs.get("warnings", "")).splitlines()):
+                self._progress.warn(line)
         return job, whole
 
     def _stage(

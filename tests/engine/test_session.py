@@ -260,3 +260,16 @@ def test_accuracy_out_of_reach():
     content = {**CONTENT, "system": system, "sweep": {"b": {"values": [5.9, 6.0]}}, "accuracy": {"target": 1e-13}}
     with pytest.raises(jaxnh.AccuracyError, match=r"accuracy\.target: no solver has an error of one period of 1e-13"):
         session_of(Experiment.from_dict(content)).run("poincare")
+
+
+def halved(a=0.5, b=0.0):
+    """A map without any bifurcation."""
+    return {"map": lambda y: (a * y[0] + b,), "coordinates": ("x",)}
+
+
+def test_warnings_of_a_result_are_warnings():
+    """A search that finds nothing says what it looked at, and not in an attribute alone."""
+    session = jaxnh.Session(halved, {"x": 0.1})
+    with pytest.warns(jaxnh.JaxnhWarning, match="looked at branches over a of orbits of period 2 at most"):
+        data = session.run(jaxnh.Curves(transient=64), a=[0.4, 0.5, 0.6], b=[0.0, 0.1])
+    assert data.sizes["curve"] == 0
