@@ -97,7 +97,7 @@ def _spectrum(data: xr.Dataset) -> Iterator[tuple[str, str]]:
     for k, (value, error) in enumerate(zip(exponents, errors, strict=True), start=1):
         yield f"exponent {k} (95 %)", with_error(float(value), float(error))
     if "kaplan_yorke" in data:
-        yield "Kaplan–Yorke dimension", f"{float(data['kaplan_yorke']):.4g}"
+        yield "Kaplan–Yorke dimension", with_error(float(data["kaplan_yorke"]), float(data["kaplan_yorke_error"]))
 
 
 def with_error(value: float, error: float) -> str:

@@ -117,7 +117,7 @@ def _spectrum(path: Path) -> dict[str, Any]:
         "exponents_method": method,
         "status": int(data["status"]),
         "kaplan_yorke": float(data["kaplan_yorke"]),
-        "kaplan_yorke_error": kaplan_yorke_error(exponents, error),
+        "kaplan_yorke_error": float(data["kaplan_yorke_error"]),
         "sum_rule_residual": float(data["sum_rule_residual"]),
         "averaging_periods": averaged,
         "error_estimate": float(attrs.get("error_estimate", math.nan)),
@@ -155,26 +155,6 @@ def _published(flow: PublishedFlow) -> dict[str, Any]:
 
 def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
-
-
-def kaplan_yorke_error(exponents: np.ndarray, error: np.ndarray) -> float:
-    """Return the error of the Kaplan–Yorke dimension by those of descending exponents, none helping another.
-
-    D = j + S/|λ|, S the sum of the first j exponents and λ the next one; where no sum is negative D is their number,
-    and the error what may be lacking to it.
-    """
-    if not np.all(np.isfinite(exponents)):
-        return math.nan
-    total = np.cumsum(exponents)
-    j = int(np.sum(total >= 0.0))
-    if j == 0:
-        return 0.0 if exponents[0] + error[0] < 0.0 else 1.0
-    following = abs(exponents[min(j, len(exponents) - 1)])
-    if following == 0.0:
-        return math.nan
-    if j == len(exponents):
-        return max(float(np.sum(error) - total[-1]), 0.0) / following
-    return float(np.sum(error[:j]) / following + total[j - 1] * error[j] / following**2)
 
 
 # ---- columns

@@ -13,7 +13,6 @@ import pytest
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.batch import LaneBatch, broadcast_start
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.exponents.dimension import kaplan_yorke
 from jaxnh.analyses.exponents.tangent_growth import gram_schmidt
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.periodic.newton_on_lanes import least_period
@@ -221,15 +220,6 @@ def test_programs_that_orthonormalise_many_vectors_are_short():
     """Twelve vectors written out are multiplied by 1,872 equations, which are compiled for seconds."""
     rows = tuple((0.0,) * 12 for _ in range(12))
     assert str(jax.make_jaxpr(gram_schmidt)(rows)).count("= mul ") < 20
-
-
-@pytest.mark.parametrize(
-    ("exponents", "dimension"),
-    [((0.5, -1.0, -2.0), 1.5), ((-0.1, -1.0, -2.0), 0.0), ((0.5, 0.1, -1.2), 2.5), ((0.5, 0.1, -0.2), 3.0)],
-)
-def test_kaplan_yorke(exponents, dimension):
-    """The definition, worked by hand."""
-    assert kaplan_yorke(np.array([exponents]))[0] == pytest.approx(dimension)
 
 
 def logistic(r, count=1000):

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from jaxnh.analyses.exponents.dimension import kaplan_yorke
 from sweeps.studies import reference_flows
 from sweeps.studies.dysts_flows import Answer
 from sweeps.studies.reference_flows_page import page, with_error
-from sweeps.studies.reference_flows_table import LONGER, MOTIONS, RECORD, RUNS, kaplan_yorke_error
+from sweeps.studies.reference_flows_table import LONGER, MOTIONS, RECORD, RUNS
 from tests.helpers.commands import run_here
 from tests.helpers.dysts_package import publish
 
@@ -106,18 +104,6 @@ def test_longer_runs_say_what_bars_cover(study, tmp_path):
     text = page(data)
     assert "Of their 2 exponents that have a bar, 1 (50.0 %) are within it" in text
     assert "Swing λ2 (2.0 bars)" in text
-
-
-def test_error_of_the_dimension():
-    """At least what the worst of all changes of the exponents by their errors does, and of its order."""
-    for exponents in ([0.9, 0.0, -14.57], [0.5, 0.2, 0.0, -3.0], [-0.1, -2.0], [0.3, -0.2], [0.3, -0.2999]):
-        value = np.array(exponents)
-        error = np.linspace(1.0, 2.0, len(value)) * 1e-4
-        signs = itertools.product((-1.0, 1.0), repeat=len(value))
-        changed = kaplan_yorke(np.array([value + error * sign for sign in signs]))
-        worst = np.abs(changed - kaplan_yorke(value[None])).max()
-        # What the first order leaves out is of the size of a relative error, 1e-3 at most.
-        assert kaplan_yorke_error(value, error) == pytest.approx(worst, rel=2e-3)
 
 
 @pytest.mark.parametrize(

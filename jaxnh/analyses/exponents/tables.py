@@ -11,7 +11,7 @@ from jaxtyping import Float, Int8
 
 from jaxnh.analyses.base import LANE, Entry, as_variable, flag, variable
 from jaxnh.analyses.batch import LaneBatch, iterate_units, rate_attrs
-from jaxnh.analyses.exponents.dimension import kaplan_yorke
+from jaxnh.analyses.exponents.dimension import kaplan_yorke, kaplan_yorke_error
 from jaxnh.analyses.exponents.errors import Average, widen_to_sum_rule
 from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum
 from jaxnh.analyses.options.base import BLOCKS
@@ -79,7 +79,7 @@ def dataset(
         if divergence:
             words = "sum of the plain averages minus that of the logarithms of the steps' determinants"
             variables["volume_residual"] = variable(LANE, sums - volume[:, 0], words, **rate)
-        variables |= _sum_and_dimension(batch, total, exponents)
+        variables |= _sum_and_dimension(batch, total, exponents, errors)
     return xr.Dataset(variables, attrs=attrs)
 
 
@@ -133,7 +133,10 @@ def _volume_and_sums(
 
 
 def _sum_and_dimension(
-    batch: LaneBatch, total: Average, exponents: Float[np.ndarray, "lanes exponents"]
+    batch: LaneBatch,
+    total: Average,
+    exponents: Float[np.ndarray, "lanes exponents"],
+    errors: Float[np.ndarray, "lanes exponents"],
 ) -> dict[str, Entry]:
     """Return what follows from all exponents: their sum a period, as one a unit of time, and the dimension."""
     rate, period = rate_attrs(batch.flow), batch.flow.period
@@ -144,7 +147,15 @@ def _sum_and_dimension(
     return {
         "exponent_sum": variable(LANE, total.mean / period, words, **rate),
         "exponent_sum_error": variable(LANE, total.error / period, "error of the sum at 95 %", **rate),
-        "kaplan_yorke": variable(LANE, kaplan_yorke(exponents), f"Kaplan–Yorke dimension {source}"),
+        "kaplan_yorke": variable(
+            LANE,
+            kaplan_yorke(exponents),
+            f"Kaplan–Yorke dimension {source}",
+            ancillary_variables="kaplan_yorke_error",
+        ),
+        "kaplan_yorke_error": variable(
+            LANE, kaplan_yorke_error(exponents, errors), "error of the dimension by those of the exponents at 95 %"
+        ),
     }
 
 
