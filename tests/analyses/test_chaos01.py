@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxnh
 from jaxnh.analyses import chaos01
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.solvers import SOLVERS
@@ -19,6 +20,10 @@ OMEGA = 2 / 3
 # period 1, chaos, chaos that turns over, whole turns of period 1, and chaos again.
 DRIVES = [1.0, 1.15, 1.2, 1.35, 1.5]
 CHAOTIC = np.array([False, True, True, False, True])
+
+
+def logistic(r=4.0):
+    return {"map": lambda s: r * s[0] * (1.0 - s[0]), "coordinates": "x"}
 
 
 def driven(drive=1.0):
@@ -71,3 +76,12 @@ def test_growth_does_not_depend_on_where_an_angle_is_counted_from():
 
     np.testing.assert_allclose(growth(0.0), growth(1.0), rtol=0, atol=1e-9)
     assert np.median(growth(0.0)) > 0.8
+
+
+def test_the_spread_of_k_is_called_no_error():
+    """Full chaos of the logistic map has K = 1, which the quartiles of 150 starts cover 27 times in 100."""
+    starts = np.linspace(0.11, 0.45, 8)
+    data = jaxnh.Session(logistic, start={"x": 0.3}).run(jaxnh.Chaos01(), x=starts)
+    assert data["k_median"].to_numpy().min() > 0.99
+    assert {"k_median", "k_spread"} <= set(data.data_vars)
+    assert not any(str(name).endswith("_error") for name in data.data_vars)

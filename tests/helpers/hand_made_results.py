@@ -104,8 +104,8 @@ def radial_responses(b):
 def growth_rates(b):
     k = np.linspace(0, 1, len(b))
     variables = {
-        "k_median": (("b",), k, "growth rate of the walk", "1", {"ancillary_variables": "k_median_error"}),
-        "k_median_error": (("b",), 0.2 + 0 * k, "half the distance between the quartiles", "1"),
+        "k_median": (("b",), k, "growth rate of the walk", "1", {"ancillary_variables": "k_spread"}),
+        "k_spread": (("b",), 0.2 + 0 * k, "half the distance between the quartiles", "1"),
     }
     look = {"panel": "curves", "panel_variables": "k_median", "panel_label": "0–1 test, $K$", "panel_levels": "0 1"}
     return dataset({"b": (b, "coupling b")}, variables, **look)
