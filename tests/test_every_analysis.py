@@ -572,10 +572,10 @@ def no_edges(attractors, word):
 WITHOUT_SECTION = "the system has no period, and {} looks at it on a section"
 NO_REVERSAL = "no change of signs is a reversal"
 NO_EQUILIBRIA = "a flow with a clock has no equilibria, which homoclinic orbits connect"
-SADDLES_OVER_ONE = "homoclinic orbits are followed over two axes, and the sweep has {}"
+SADDLES_OVER_ONE = "homoclinic orbits are followed over two axes of more than one value, and the sweep has {}"
 NOT_ISOLATED = "cycles and equilibria of a flow with constraints are not isolated"
 NOT_SMOOTH = "collocation is of smooth motions, without jumps or switches"
-ONE_PARAMETER = "curves are followed over two axes, and the sweep has {}"
+ONE_PARAMETER = "curves are followed over two axes of more than one value, and the sweep has {}"
 MU = "mu: {start: -0.28, stop: 0.28, count: 8}"
 STEPS = "accuracy: {solver: dopri8, steps: 16}"
 

@@ -35,6 +35,20 @@ def test_a_curve_with_a_point_twice_passes_where_it_did():
         assert curves._passes(plane, curve, curves.CurveSeed(0, np.zeros((1, 1)), np.array([at, at]))) is there
 
 
+def test_a_third_parameter_is_fixed_by_a_call():
+    """Doublings of x → a − x² + b y + c x, y → x, at c = 0.1, in closed form."""
+
+    def system(a=0.5, b=0.1, c=0.0):
+        return {"map": lambda y: (a - y[0] ** 2 + b * y[1] + c * y[0], y[0]), "coordinates": ("x", "y")}
+
+    session = jaxnh.Session(system, {"x": 0.1, "y": 0.0})
+    data = session.run(jaxnh.Curves(max_period=1), c=0.1, a=np.linspace(0.0, 1.0, 6), b=np.linspace(0.0, 0.4, 3))
+    a, b = (data[name].to_numpy().ravel() for name in "ab")
+    x = (1.1 - b) / 2  # a multiplier −1: 1 + (c − 2x) − b = 0
+    assert data.sizes["curve"] == 1
+    assert np.abs(a - ((0.9 - b) * x + x**2)).max() < 1e-12
+
+
 def ring(u, values):
     """x → x + x² + p² + q² − 1/4: folds on a circle, at x = 0."""
     x, (p, q) = u[:, 0], values.T

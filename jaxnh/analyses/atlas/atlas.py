@@ -30,7 +30,7 @@ from jaxnh.analyses.base import (
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.continuation import branches, curves
 from jaxnh.analyses.continuation.curve_tables import CurveSet
-from jaxnh.analyses.continuation.families import lanes_along, values_searched
+from jaxnh.analyses.continuation.families import lanes_along, plane_axes, values_searched
 from jaxnh.analyses.continuation.tables import (
     OWN_NAMES,
     FollowedBranches,
@@ -66,6 +66,7 @@ def numbers(options: AtlasOptions) -> int:
 def check(options: AtlasOptions, setting: Setting) -> None:
     """Check what `curves` asks of both axes, and `branches` and `windows` of the first."""
     curves.check(_curves_options(options), setting)
+    setting = setting._replace(axes=plane_axes(setting.axes))
     along_first = setting._replace(axes=setting.axes[:1])
     branches.check(_branches_options(options), along_first)
     windows.check(_windows_options(options), along_first)
@@ -98,6 +99,7 @@ def _shared(options: AtlasOptions, *names: str) -> dict[str, Any]:
 
 def whole(options: AtlasOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `atlas`, `branches`, `bifurcations`, `windows`, `curves`, `codimension_two` and `curve_orbits`."""
+    sweep = sweep._replace(axes=plane_axes(sweep.axes))
     rows, of_curves = _rows(options, sweep, lanes), _curves_options(options)
     seeds = [curves.seeds_of(row.grown[0].tree, row.value) for row in rows]
     size = np.median([row.grown[0].family.size for row in rows], axis=0)

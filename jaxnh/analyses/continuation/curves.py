@@ -31,6 +31,7 @@ from jaxnh.analyses.continuation.families import (
     lanes_along,
     orbit_family,
     parameter_plane,
+    plane_axes,
     step_control,
     values_searched,
 )
@@ -76,7 +77,7 @@ class KnownBifurcations(NamedTuple):
 
 def check(options: CurvesOptions, setting: Setting) -> None:
     """Check that there are two axes, parameters that lanes may differ in, of more than one value each."""
-    check_plane("curves", setting)
+    setting = check_plane("curves", setting)
     names = [axis.name for axis in setting.axes]
     own = {*_OWN_NAMES, *(f"{name}_error" for name in names)}
     own |= {f"codimension_two_{name}{rest}" for name in names for rest in ("", "_error")}
@@ -92,6 +93,7 @@ def check(options: CurvesOptions, setting: Setting) -> None:
 
 def whole(options: CurvesOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset) -> Mapping[str, xr.Dataset]:
     """The groups `curves` and `codimension_two`."""
+    sweep = sweep._replace(axes=plane_axes(sweep.axes))
     return curve_groups(options, sweep, follow_all(options, sweep, lanes))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,17 +27,22 @@ _ON_SECTION = 8
 _MANY = 4  # such tiles, that take more than one device: others would compute what fills up tiles
 
 
-def check_plane(what: str, setting: Setting) -> None:
-    """Check that there are two axes, parameters that lanes may differ in, of more than one value each."""
-    names = [axis.name for axis in setting.axes]
-    if len(names) != 2:
-        raise OptionError(f"{what} are followed over two axes, and the sweep has {' and '.join(names)}")
-    for axis in setting.axes:
+def check_plane(what: str, setting: Setting) -> Setting:
+    """Return the setting over two axes of more than one value, and check that lanes may differ in these parameters."""
+    plane = setting._replace(axes=plane_axes(setting.axes))
+    if len(plane.axes) != 2:
+        names = " and ".join(axis.name for axis in plane.axes or setting.axes)
+        raise OptionError(f"{what} are followed over two axes of more than one value, and the sweep has {names}")
+    for axis in plane.axes:
         if axis.kind != "lane":
             other = "a coordinate of the start state" if axis.kind == "start" else "what all lanes of a program share"
             raise OptionError(f"{what} are followed over two parameters, and {axis.name} is {other}")
-        if len(np.unique(axis.values)) < 2:
-            raise OptionError(f"{what} are followed over a range of {axis.name}, and the sweep has one value of it")
+    return plane
+
+
+def plane_axes(axes: Sequence[Axis]) -> tuple[Axis, ...]:
+    """Return the axes of more than one value; the others are parameters that a call has fixed."""
+    return tuple(axis for axis in axes if len(np.unique(axis.values)) > 1)
 
 
 def lanes_along(row: LaneBatch, first: Axis, second: Axis, value: float) -> LaneBatch:

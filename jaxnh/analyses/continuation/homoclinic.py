@@ -30,7 +30,7 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, rate_attrs
 from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shooting, connection_seeds, saddle_chains
 from jaxnh.analyses.continuation.cycle_connections import seeds_from_cycles
 from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
-from jaxnh.analyses.continuation.families import check_plane, lanes_along, step_control, values_searched
+from jaxnh.analyses.continuation.families import check_plane, lanes_along, plane_axes, step_control, values_searched
 from jaxnh.analyses.continuation.tables import special_kinds, special_values
 from jaxnh.analyses.options.orbits import HomoclinicOptions
 from jaxnh.analyses.periodic.flow_cycles import flow_problem, no_collocation
@@ -82,7 +82,7 @@ def check(options: HomoclinicOptions, setting: Setting) -> None:
         raise OptionError(why)
     if not setting.autonomous:
         raise OptionError("a flow with a clock has no equilibria, which homoclinic orbits connect")
-    check_plane("homoclinic orbits", setting)
+    setting = check_plane("homoclinic orbits", setting)
     if not options.box:
         raise OptionError("needs a box to draw the starts of Newton for saddles from", "box")
     check_box(options.box, setting)
@@ -93,6 +93,7 @@ def whole(
     options: HomoclinicOptions, sweep: SweepLanes, lanes: LaneRunner, data: xr.Dataset
 ) -> Mapping[str, xr.Dataset]:
     """The groups `homoclinic` and `connecting_orbits`."""
+    sweep = sweep._replace(axes=plane_axes(sweep.axes))
     (first, second), [(_, row)] = sweep.axes, sweep.rows
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
     names, curves = (first.name, second.name), list[tuple[Problem, ConnectionCurve]]()
