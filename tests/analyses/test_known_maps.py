@@ -77,6 +77,29 @@ def test_exponents_near_and_at_superstable_orbits():
     assert error[2:].max() < 1e-10
 
 
+LOZI = """
+import jax.numpy as jnp
+
+
+def system(a=1.7, b=0.5):
+    def image(s):
+        x, y = s
+        return 1.0 - a * jnp.abs(x) + y, b * x
+
+    return {"map": image, "coordinates": ("x", "y")}
+"""
+
+
+def test_exponents_where_a_multiplier_is_exactly_one():
+    """At a = 1.5, b = 0.5 the cycles of period 4 of the Lozi map fill a line: multipliers 1 and b⁴, to the bit."""
+    config = "initial: {x: 0.1, y: 0.1}\nsweep: {a: {values: [1.5]}}\nanalyses: {lyapunov: {transient: 500}, period: {}}"
+    groups = groups_of(LOZI, config)
+    assert float(groups["period"]["period"].item()) == 4
+    assert float(groups["period"]["multiplier"].item()) == 1.0
+    off = np.abs(groups["lyapunov"]["exponents"].to_numpy()[0] - (0.0, np.log(0.5)))
+    assert np.all(off <= groups["lyapunov"]["exponents_error"].to_numpy()[0])
+
+
 @pytest.mark.slow  # doublings and windows of maps are quick
 def test_exactly_superstable_orbits():
     """The cycles 0 and 0, −1 of c + x²: a derivative that is zero to the bit."""
