@@ -157,7 +157,7 @@ def _motion_of(
 
 
 def _motion(flow: Flow, y: State, p: Parameters, length: float, steps: int = _ROUGHLY) -> tuple[np.ndarray, State]:
-    """Times and states of a motion from t = 0 over a length of time, both ends too, by the classical method of order 4."""
+    """Times and states of a motion from t = 0 over a length of time, both ends too: the classical method of order 4."""
     h = length / steps
     times = h * np.arange(steps + 1)
     ends, weights = jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
