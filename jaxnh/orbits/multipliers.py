@@ -36,7 +36,15 @@ def multipliers(blocks: Float[np.ndarray, "... n d d"]) -> Complex[np.ndarray, "
 
 
 def eigenvalues(matrices: Float[np.ndarray, "lanes d d"]) -> Complex[np.ndarray, "lanes d"]:
-    """Eigenvalues of small matrices, in no order; of many by all cores, with the same bits."""
+    """Eigenvalues of small matrices, in no order, not a number where one of them is not finite.
+
+    Those of many are found by all cores, with the same bits.
+    """
+    finite = np.all(np.isfinite(matrices), axis=(1, 2))
+    if not finite.all():
+        values = np.full(matrices.shape[:2], np.nan, complex)
+        values[finite] = eigenvalues(matrices[finite])
+        return values
     if len(matrices) < _MANY:
         return np.linalg.eigvals(matrices)
     parts = np.array_split(matrices, len(matrices) // (_MANY // 4))

@@ -76,8 +76,10 @@ def find_orbits(
         hopeless = (steps >= PATIENCE) & (residual > NEAR)
         unfinished = ~last & (steps < NEWTON_STEPS) & np.isfinite(residual) & ~hopeless
         open_ = open_[unfinished[open_]]
-        last[open_] = residual[open_] < NEWTON_TOLERANCE
         step = solve(monodromy[open_] - np.eye(d), missing[open_])
+        solved = np.all(np.isfinite(step), axis=1)  # with a multiplier of exactly one there is no step: the point stays
+        open_, step = open_[solved], step[solved]
+        last[open_] = residual[open_] < NEWTON_TOLERANCE
         length = np.max(np.abs(step / size[open_]), axis=1)
         u[open_] += step * np.where(length > LARGEST_STEP, LARGEST_STEP / length, 1.0)[:, None]
         steps[open_] += 1

@@ -57,10 +57,11 @@ def find_orbit(
         finite = jnp.all(jnp.isfinite(missing))  # not all ways in which XLA reduces keep NaN
         residual = jnp.where(finite, jnp.max(jnp.abs(missing / size)), jnp.nan)
         hopeless = (steps >= PATIENCE) & (residual > NEAR)
-        unfinished = ~step.last & (steps < NEWTON_STEPS) & finite & ~hopeless
         matrix = [[monodromy[i, j] - float(i == j) for j in range(d)] for i in range(d)]
         (solution,), _ = eliminate(matrix, [[missing[i] for i in range(d)]])
         way = jnp.stack(solution)
+        solved = jnp.all(jnp.isfinite(way))  # with a multiplier of exactly one there is no step, and the point stays
+        unfinished = ~step.last & (steps < NEWTON_STEPS) & finite & ~hopeless & solved
         length = jnp.max(jnp.abs(way / size))
         way *= jnp.where(length > LARGEST_STEP, LARGEST_STEP / length, 1.0)
         orbit = Orbit(jnp.where(unfinished, u + way, u), residual, monodromy, steps + unfinished.astype(jnp.int32))

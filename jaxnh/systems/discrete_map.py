@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition, marked
 from jaxnh.systems.first_order import Point, PointFlow, point_like
 from jaxnh.systems.flow import Parameters
-from jaxnh.systems.state import Number
+from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.user_functions import components_of, pointwise
+
+_FAR = 1024.0
+"""Angles beyond this lose their whole turns before they are mapped, and have them back in the image.
+
+A map that turns an angle several times while it goes through one turn would enlarge them, and their rounding, forever.
+"""
 
 
 class DiscreteMap(PointFlow):
@@ -27,8 +35,8 @@ class DiscreteMap(PointFlow):
         return False
 
     def image(self, y: Point, p: Parameters) -> Point:
-        """The next iterate."""
-        return point_like(self.definition(p)["map"](tuple(y.y)), y)
+        """The next iterate, angles with the whole turns that they have made."""
+        return self._map_angles(self.definition(p)["map"], y)
 
     def rhs(self, t: ArrayLike, y: Point, p: Parameters) -> Point:
         """Displacement in one iterate."""
@@ -42,6 +50,13 @@ class DiscreteMap(PointFlow):
         jacobian = jax.jacfwd(lambda u: jnp.stack(self.image(Point(tuple(u)), p).y))(jnp.stack(y.y))
         return jnp.log(jnp.abs(jnp.linalg.det(jacobian)))
 
+    def _map_angles(self, image: Callable[[Vector], Iterable[Number]], y: Point) -> Point:
+        """The image of a state, whose angles are mapped without many whole turns."""
+        turns = tuple(_whole_turns(x) if angle else None for x, angle in zip(y.y, self.angles, strict=True))
+        near = tuple(x if whole is None else x - whole for x, whole in zip(y.y, turns, strict=True))
+        mapped = point_like(image(near), y)
+        return Point(tuple(x if whole is None else x + whole for x, whole in zip(mapped.y, turns, strict=True)))
+
 
 class InverseMap(DiscreteMap):
     """The inverse of a map, its definition's `inverse`."""
@@ -49,7 +64,12 @@ class InverseMap(DiscreteMap):
     def image(self, y: Point, p: Parameters) -> Point:
         """The iterate before."""
         inverse = pointwise(components_of(self.definition(p)["inverse"]))
-        return point_like(inverse(tuple(y.y)), y)
+        return self._map_angles(inverse, y)
+
+
+def _whole_turns(angle: Number) -> Number:
+    """The whole turns of an angle beyond `_FAR`, zero of one that is not."""
+    return jnp.where(jnp.abs(angle) > _FAR, angle - lax.rem(angle, jnp.full_like(angle, 2 * np.pi)), 0.0)
 
 
 def inverse_map(system: DiscreteMap) -> InverseMap | None:

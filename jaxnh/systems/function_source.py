@@ -24,6 +24,7 @@ from jaxnh.exceptions import InputError
 
 _LIBRARIES = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "platstdlib", "purelib", "platlib"))
 _ENTRY = "system"  # the function that a file must have
+_LAMBDA = "<lambda>"
 
 
 def source_text(function: Callable[..., Any]) -> str:
@@ -32,7 +33,7 @@ def source_text(function: Callable[..., Any]) -> str:
     Raises:
         InputError: its source cannot be read, or it uses something that a file cannot say.
     """
-    if not inspect.isfunction(function) or function.__name__ == "<lambda>":
+    if not inspect.isfunction(function) or function.__name__ == _LAMBDA:
         known_as = getattr(function, "__name__", type(function).__name__)
         raise InputError(f"a system is a function written with def, and {known_as} is not")
     parts = dict[str, str]()
@@ -77,6 +78,10 @@ def _put(name: str, value: Any, user: FunctionType, parts: dict[str, str], known
     """Put the definition of one name into the parts."""
     if isinstance(value, ModuleType):
         parts[name] = f"import {value.__name__}" + ("" if value.__name__ == name else f" as {name}")
+    elif inspect.isfunction(value) and value.__name__ == _LAMBDA and not _installed(value):
+        if not isinstance(tree := _tree(value), ast.Assign) or ast.unparse(tree.targets[0]) != name:
+            raise InputError(f"{user.__name__} uses {name}, a lambda without a line of its own; write it with def")
+        _gather(value, name, parts, known)
     elif inspect.isfunction(value) and not _installed(value):
         if value.__name__ != name and known.setdefault(value.__name__, value) is not value:
             raise _clash(value.__name__, user)
@@ -109,6 +114,15 @@ def _source(function: FunctionType) -> str:
         ) from None
 
 
+def _tree(function: FunctionType) -> ast.stmt | None:
+    """The statement that defines a function; None of a lambda in the midst of one."""
+    try:
+        (statement,) = ast.parse(_source(function)).body
+    except (SyntaxError, ValueError):
+        return None
+    return statement
+
+
 def _names_of(code: CodeType) -> set[str]:
     """Names that a function's code, and that of functions within it, may take from its module."""
     inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
@@ -117,10 +131,13 @@ def _names_of(code: CodeType) -> set[str]:
 
 def _defaults(function: FunctionType, known: Mapping[str, Any]) -> dict[str, Any]:
     """Names that the head of a function takes from its module: in defaults, annotations and decorators."""
-    tree = ast.parse(_source(function)).body[0]
-    assert isinstance(tree, ast.FunctionDef)
-    heads = [*tree.args.defaults, *tree.args.kw_defaults, *tree.decorator_list, tree.returns]
-    heads += [argument.annotation for argument in (*tree.args.args, *tree.args.kwonlyargs)]
+    tree = _tree(function)
+    head = tree.value if isinstance(tree, ast.Assign) else tree
+    assert isinstance(head, ast.FunctionDef | ast.Lambda)
+    heads = [*head.args.defaults, *head.args.kw_defaults]
+    if isinstance(head, ast.FunctionDef):
+        heads += [*head.decorator_list, head.returns]
+    heads += [argument.annotation for argument in (*head.args.args, *head.args.kwonlyargs)]
     nodes = (node for head in heads if head is not None for node in ast.walk(head))
     names = {node.id for node in nodes if isinstance(node, ast.Name)}
     return {name: function.__globals__[name] for name in names & function.__globals__.keys() if name not in known}

@@ -279,10 +279,14 @@ def piecewise_smooth(
 
 
 def _forgets(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: int) -> bool:
-    """Return whether the derivative of a jump is singular at a state in no special place."""
-    state = np.random.default_rng(0).uniform(0.5, 1.5, dimension)
-    change = jax.jacfwd(lambda y: jnp.stack([jnp.asarray(x, jnp.float64) for x in then(tuple(y), 0.1)]))(state)
-    return bool(np.linalg.matrix_rank(np.asarray(change)) < dimension)
+    """Return whether the derivative of a jump is singular at a state in no special place, or finite at none."""
+    random = np.random.default_rng(0)
+    change = jax.jacfwd(lambda y: jnp.stack([jnp.asarray(x, jnp.float64) for x in then(tuple(y), 0.1)]))
+    for size in (1.0, -1.0, 10.0, -10.0, 0.1, -0.1):  # jumps need not make sense everywhere
+        matrix = np.asarray(change(size * random.uniform(0.5, 1.5, dimension)))
+        if np.all(np.isfinite(matrix)):
+            return bool(np.linalg.matrix_rank(matrix) < dimension)
+    return True
 
 
 def _select(condition: Number, yes: HeldMotion, no: HeldMotion) -> HeldMotion:

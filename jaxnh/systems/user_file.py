@@ -366,7 +366,14 @@ class UserFile:
         if any(value is None or isinstance(value, str | Mapping | tuple | list) for value in values):
             nothing = ", and returns nothing" if values[0] is None else ""
             raise self._fault(self._line_of(name), f"{name} must return {self._returned(name)}{nothing}")
-        return tuple(jnp.asarray(value) for value in values)
+        numbers = tuple(jnp.asarray(value) for value in values)
+        if any(jnp.iscomplexobj(number) for number in numbers):
+            real = "real numbers: a complex one is two, its real and its imaginary part"
+            raise self._fault(self._line_of(name), f"{name} must return {real}")
+        if name.endswith((".when", ".on")) and any(number.dtype == jnp.bool_ for number in numbers):
+            height = "a number that passes zero, as x - 1.0, and returns a truth value, as x > 1.0"
+            raise self._fault(self._line_of(name), f"{name} must return {height}")
+        return numbers
 
     def _line_of(self, name: str) -> int:
         definition = self.define(**self.parameters)

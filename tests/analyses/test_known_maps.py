@@ -77,6 +77,31 @@ def test_exponents_near_and_at_superstable_orbits():
     assert error[2:].max() < 1e-10
 
 
+LOZI = """
+import jax.numpy as jnp
+
+
+def system(a=1.7, b=0.5):
+    def image(s):
+        x, y = s
+        return 1.0 - a * jnp.abs(x) + y, b * x
+
+    return {"map": image, "coordinates": ("x", "y")}
+"""
+
+
+def test_exponents_where_a_multiplier_is_exactly_one():
+    """At a = 1.5, b = 0.5 the cycles of period 4 of the Lozi map fill a line: multipliers 1 and b⁴, to the bit."""
+    config = (
+        "initial: {x: 0.1, y: 0.1}\nsweep: {a: {values: [1.5]}}\nanalyses: {lyapunov: {transient: 500}, period: {}}"
+    )
+    groups = groups_of(LOZI, config)
+    assert float(groups["period"]["period"].item()) == 4
+    assert float(groups["period"]["multiplier"].item()) == 1.0
+    off = np.abs(groups["lyapunov"]["exponents"].to_numpy()[0] - (0.0, np.log(0.5)))
+    assert np.all(off <= groups["lyapunov"]["exponents_error"].to_numpy()[0])
+
+
 @pytest.mark.slow  # doublings and windows of maps are quick
 def test_exactly_superstable_orbits():
     """The cycles 0 and 0, −1 of c + x²: a derivative that is zero to the bit."""
@@ -148,6 +173,29 @@ def test_angles_wrap():
             assert -np.pi <= float(ours[0, k]) < np.pi
         momentum = momentum + 10.0 * np.sin(angle)
         angle = angle + momentum
+
+
+TRIPLING = """
+import jax.numpy as jnp
+
+
+def system(a=0.5):
+    def image(s):
+        x, y = s
+        return 3.0 * x + a * jnp.sin(y), x + y
+
+    return {"map": image, "coordinates": ("x", "y"), "angles": ("x", "y")}
+"""
+
+
+def test_a_map_that_stretches_angles():
+    """Every image is that of the point before, up to whole turns, however often turns have been tripled."""
+    config = "initial: {x: 0.1, y: 0.3}\nsweep: {a: {values: [0.5]}}\n"
+    points = groups_of(TRIPLING, config + "analyses: {poincare: {transient: 600, strobes: 200}}")["poincare"]
+    x, y = points["x"].to_numpy()[0], points["y"].to_numpy()[0]
+    for image, exact in ((x[1:], 3.0 * x[:-1] + 0.5 * np.sin(y[:-1])), (y[1:], x[:-1] + y[:-1])):
+        turns = (image - exact) / (2 * np.pi)
+        assert np.abs(turns - np.round(turns)).max() < 1e-9
 
 
 def test_kinds_of_motion():

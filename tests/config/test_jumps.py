@@ -78,6 +78,7 @@ FAULTS = {
     "other arguments": (("def bounce(y, t)", "def bounce(y)"), ":10: jumps[0].then must be a function of (y, t)"),
     "no side": (("def rhs(y, t, side)", "def rhs(y, t)"), ":4: with switches rhs is a function of (y, t, side); side has +1.0 or -1.0 for each"),
     "a vector for a wall": (("        return y[0]\n", "        return y\n"), ":7: jumps[0].when must return a number"),
+    "a truth for a wall": (("        return y[0]\n", "        return y[0] > 0.0\n"), ":7: jumps[0].when must return a number that passes zero, as x - 1.0, and returns a truth value, as x > 1.0"),
     "too few after": (("return y[0], -r * y[1]", "return -r * y[1]"), ":10: jumps[0].then must return a number a coordinate"),
     "a wrong name": (("-r * y[1]", "-q * y[1]"), ":11: NameError: name 'q' is not defined"),
     "a choice": (("return y[0] + 1.0", "return y[0] + 1.0 if y[0] > 0 else y[0]"), ":14: if cannot decide by"),

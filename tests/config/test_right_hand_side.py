@@ -123,6 +123,7 @@ FILE_FAULTS = {
     "too few": (("x * y_ - beta * z", "x * y_ - beta * z, z"), ":9: rhs must return 3 numbers, one a coordinate, not 4"),
     "no clock": (("beta * z", "beta * z * t"), ":9: the system depends on t: give its period"),
     "a name": (("rho - z", "ro - z"), ":11: NameError: name 'ro' is not defined"),
+    "complex": (("sigma * (y_ - x)", "1j"), ":9: rhs must return real numbers: a complex one is two, its real and its imaginary part"),
     "an ignorable coordinate": (('"coordinates"', '"ignorable": ("x",), "coordinates"'), ":8: system returns rhs and 'ignorable'"),
     "no unit": (('"coordinates"', '"time_unit": -1, "coordinates"'), ":8: time_unit must be a positive number, not -1"),
     "one number": (("return sigma * (y_ - x), x * (rho - z) - y_, x * y_ - beta * z", "return sigma"), ":9: rhs must return 3 numbers, one a coordinate, not 1"),

@@ -153,6 +153,28 @@ def test_what_is_taken_from_a_function_around_it():
     assert scope["system"](2.0)["rhs"]((2.0, 1.0), 0.0) == (1.0, -16.0)
 
 
+LEVEL = 0.5
+cubic = lambda x, k=LEVEL: k * x**3  # noqa: E731
+ROUGH, SMOOTH = {"rough": lambda x: abs(x), "smooth": lambda x: x * x}.values()
+
+
+def test_lambdas_go_with_it_that_have_a_line_of_their_own():
+    def hardening(a=1.0):
+        return {"rhs": lambda y, t: (y[1], -a * y[0] - cubic(y[0])), "coordinates": ("x", "v")}
+
+    scope = {}
+    exec(source_text(hardening), scope)
+    assert scope["system"]()["rhs"]((2.0, 1.0), 0.0) == (1.0, -6.0)
+
+    def rough(a=1.0):
+        return {"rhs": lambda y, t: (y[1], -a * y[0] - ROUGH(y[0])), "coordinates": ("x", "v")}
+
+    with pytest.raises(
+        jaxnh.InputError, match="rough uses ROUGH, a lambda without a line of its own; write it with def"
+    ):
+        source_text(rough)
+
+
 def test_a_name_that_is_two_things_is_refused():
     """Two springs of one function each know a k of their own: a text with one of them would be another system."""
 

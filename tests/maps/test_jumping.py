@@ -537,7 +537,8 @@ def test_a_jump_that_sets_a_coordinate():
 
     shifts = piecewise_smooth(lambda: clock(lambda y, t: (y[0] - 1.0, y[1] - 0.3)), {})
     sets = piecewise_smooth(lambda: clock(lambda y, t: (y[0] - 1.0, 0.0 * y[1] + 0.3)), {})
-    assert (shifts.loses_rank, sets.loses_rank) == (False, True)
+    roots = piecewise_smooth(lambda: clock(lambda y, t: (y[0] - 1.0, -jnp.sqrt(y[1] - 3.0))), {})  # of what is above 3
+    assert (shifts.loses_rank, sets.loses_rank, roots.loses_rank) == (False, True, False)
     begun = begin(sets, sets.start({"x": np.float64(0.5), "u": np.float64(0.3 * np.exp(0.1))}), 1)
     strobes = make_parts(sets, tsit5, 2, 1)
     along, across = jax.jit(lambda growth: advance(strobes, None, 3, 0.0, growth, {}).logs)(begun)

@@ -138,7 +138,8 @@ def orbit_exponents(
     moved = change(logs, fine)
     error = np.where(np.isneginf(logs) & np.isneginf(fine), 0.0, 2.0 * moved + rounding)
     if not batch.flow.continuous:
-        superstable = ~(moved * n[:, None] < np.log(2.0))
+        known = np.all(np.isfinite(monodromy), axis=(1, 2))[:, None]
+        superstable = known & ~(moved * n[:, None] < np.log(2.0))
         logs, error = np.where(superstable, -np.inf, logs), np.where(superstable, 0.0, error)
     kept = np.all(np.isfinite(error), axis=1)
     return OrbitExponents(settled[kept], logs[kept], error[kept])

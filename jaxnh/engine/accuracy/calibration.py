@@ -52,7 +52,7 @@ _PRECISE = {
     "float64": 1e-6,
     "extended": 1e-6,
     "float32": 1e-1,
-}  # an error below this that more steps do not halve is rounding
+}  # an error below this that twice the steps do not halve is rounding
 
 
 class Plan(NamedTuple):
@@ -325,16 +325,18 @@ class Calibration:
             if failed and error > target:
                 order = _effective_order(failed, tried[failed], steps, error, order)
             tried[steps] = error
+            least = 0
             if error <= target:
                 met = min(met, steps)
             else:
-                failed = max(failed, steps)
-                if steps == most or (error > 0.5 * previous and error < _PRECISE[self._precision]):
+                slow = error > 0.5 * previous and error < _PRECISE[self._precision]
+                if steps == most or (slow and steps >= 2 * failed):
                     return  # no better than a cheaper solver, or rounding
-                previous = error
+                least = 2 * failed if slow else 0  # which tell slow convergence from rounding
+                failed, previous = max(failed, steps), error
             factor = (error / (0.9 * target)) ** (1.0 / order) if 0 < error < math.inf else 2.0
             guess = math.ceil(steps * min(max(factor, 0.3), 4.0))
-            steps = min(max(guess, failed + 1), met - 1, most)
+            steps = min(max(guess, failed + 1, least), met - 1, most)
             if steps <= failed or met - steps <= met // 50:
                 return
 

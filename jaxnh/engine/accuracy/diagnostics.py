@@ -157,9 +157,9 @@ def _motion_of(
 
 
 def _motion(flow: Flow, y: State, p: Parameters, length: float, steps: int = _ROUGHLY) -> tuple[np.ndarray, State]:
-    """Times and states of a motion from t = 0 over a length of time, by the classical method of order 4."""
+    """Times and states of a motion from t = 0 over a length of time, both ends too: the classical method of order 4."""
     h = length / steps
-    times = h * np.arange(steps)
+    times = h * np.arange(steps + 1)
     ends, weights = jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
     @partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
@@ -177,7 +177,8 @@ def _motion(flow: Flow, y: State, p: Parameters, length: float, steps: int = _RO
             rate = lax.fori_loop(0, 4, stage, (zero, zero))[1]  # a loop, as the field is most of the program
             return moved(h, rate), y
 
-        return lax.scan(step, y, jnp.asarray(times))[1]
+        end, passed = lax.scan(step, y, jnp.asarray(times[:-1]))
+        return jax.tree.map(lambda each, last: jnp.concatenate([each, last[None]]), passed, end)
 
     return times, jax.tree.map(np.asarray, motion(jax.tree.map(jnp.asarray, y), p))
 
