@@ -71,6 +71,19 @@ def test_a_spiral_that_dies_down_is_seen_before_it_rests(lorenz):
     assert np.all(np.isnan(found.exponents[0]))  # nothing is linearised of a lane that moves
 
 
+def test_a_spiral_that_grows_has_the_exponent_along_it():
+    """Both exponents of ẋ = sx − y, ẏ = x + sy are s, below zero and above: only of bounded motions one is zero."""
+
+    def spiral(s=0.01):
+        return {"rhs": lambda y, t: (s * y[0] - y[1], y[0] + s * y[1]), "coordinates": ("x", "y")}
+
+    s = np.array([-0.02, 0.02, 0.03])
+    data = jaxnh.Session(spiral, {"x": 1.0}, 1e-8).run(jaxnh.Lyapunov(periods=512), s=s)
+    assert np.all(np.abs(data["exponents"] - s[:, None]) <= data["exponents_error"] + 1e-12)
+    assert np.all(data["exponents_error"] < 1e-6)
+    assert np.all(np.abs(data["exponents"].sum("exponent") - data["exponent_sum"]) <= data["exponent_sum_error"])
+
+
 def test_largest_exponent_across_the_flow():
     """Known zeros are taken out once: of a flow that keeps energy, the second stays; one alone says nothing."""
     exponents = np.array([[0.9, 0.0, -14.0], [0.0, 0.0, -1.0], [0.0, -0.3, -1.0], [-0.1, -0.2, -0.3]])

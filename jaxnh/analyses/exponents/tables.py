@@ -21,7 +21,7 @@ from jaxnh.systems.readout import status
 from jaxnh.systems.status import NOT_FINITE
 
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
-_SLOWS = -1.0  # of the same, where it falls in each block: the motion comes to rest slowly
+_SLOWS = -1.0  # of the same, where it falls in each block: the motion comes to rest slowly; where it rises so, grows
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
@@ -90,12 +90,18 @@ def _know_along_flow(
     spectrum: Spectrum,
     averaged: np.ndarray,
 ) -> None:
-    """Set the exponent along the flow to zero, without error, where the motion does not come to rest, in place."""
-    decline, falls = spectrum.mean[:, 0] * averaged, ~np.any(averages.rates[:, :, 0] >= 0.0, axis=1)
+    """Set the exponent along the flow to zero, without error, in place.
+
+    Not where the motion comes to rest, nor where its speed grows without end: in each block of the average.
+    """
+    decline, along = spectrum.mean[:, 0] * averaged, averages.rates[:, :, 0]
+    ran = np.arange(BLOCKS) < averages.blocks[:, None]
+    falls, rises = ~np.any(along >= 0.0, axis=1), np.all((along > 0.0) | ~ran, axis=1)
     rests = (decline < _AT_REST) | (falls & (decline < _SLOWS)) | (spectrum.source == SOURCES.index("equilibrium"))
+    known = ~(rests | (rises & (decline > -_SLOWS)))
     lost = ~(spectrum.mean[:, 0] < np.inf)
     for values in (mean, error):
-        values[:, 0] = np.where(lost, np.nan, np.where(rests, values[:, 0], 0.0))
+        values[:, 0] = np.where(lost, np.nan, np.where(known, 0.0, values[:, 0]))
 
 
 def _reasons(
