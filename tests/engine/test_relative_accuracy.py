@@ -52,6 +52,20 @@ def plan_and_calibration(define, start, lanes, target=TARGET, **parameters):
 # ---- sizes
 
 
+def forked(mu=0.5):
+    """x' = cos t − x beside w' = μw − w³, where w dies out or comes to √μ."""
+    rhs = lambda y, t: (jnp.cos(t) - y[0], mu * y[1] - y[1] ** 3)  # noqa: E731
+    return {"rhs": rhs, "coordinates": ("x", "w"), "period": 2 * jnp.pi}
+
+
+def test_a_coordinate_that_rests_in_most_lanes_has_the_size_of_the_others():
+    """Four lanes leave w nothing; in units of that rounding of the fifth, of √½, would be refused."""
+    session = jaxnh.Session(forked, {"x": 0.5, "w": 0.01}, 1e-11)
+    data = session.run(jaxnh.Diagram(strobes=2), mu=[-1.0, -0.9, -0.8, -0.7, 0.5])
+    assert abs(float(data["w"][-1, -1]) - math.sqrt(0.5)) < 1e-11
+    assert np.abs(data["x"] - 0.5).max() < 1e-10
+
+
 def oscillator(rate=1.0, unit=2.0):
     """x'' = −rate² x − x'/8 + unit cos t, x in other units than its velocity."""
     return {

@@ -35,6 +35,7 @@ _ROUGHLY = 2048  # steps along a motion that is looked at
 _FINER, _SAME_END = 4, 3.0  # times as many steps, with which infinity is as near, in steps, if it is the motion's own
 _LOOKED_AT = 64  # states of these at which rates are
 _MODERATE = 100.0  # times that a map enlarges a rounding, which is then that of a large number and not of chaos
+_SHARE_OF_DIGIT = 1 / 128  # of an error: roundings of some 16,000 steps add up like their root, to no more
 _LARGE = 100.0  # times the size of its motion, that a coordinate is far from zero
 
 
@@ -119,6 +120,8 @@ def explain_rounding(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray,
     if not is_rounding(maps, sample, sizes, error):
         return ""
     name, value, digit, change = last_digit(maps, sample, sizes)
+    if change < _SHARE_OF_DIGIT * error:
+        return "that is rounding, of all steps together; ask for less"
     size = sizes[coordinate_names(maps.flow).index(name)]
     words = f"that is rounding: {name} = {value:.4g} has a last digit of {digit:.1g}"
     if change * size < _MODERATE * digit and abs(value) > _LARGE * size:

@@ -3,7 +3,7 @@
 The paper's particle has sizes of one, so that its errors are absolute. Of any other system the size of a coordinate is
 its largest modulus on the path of a lane, after the first periods: at strobes, and within the last of these. Where a
 coordinate runs on, its modulus says nothing of the motion: then its size is what it changes by in a period. Of lanes
-the median counts, as some may be about to escape.
+in which the coordinate has not come to rest the median counts, as some may be about to escape.
 """
 
 from __future__ import annotations
@@ -80,7 +80,9 @@ def measure_sizes(
     values = np.where(escaping, np.nan, np.stack(image_of(paths.states)))
     moduli, later = np.abs(values), ~np.all(escaping[:, _FIRST:], axis=1)
     whole = _largest(moduli)
-    sizes = _median_of_positive(np.where(later, _largest(moduli[..., _FIRST:]), whole))
+    own = np.where(later, _largest(moduli[..., _FIRST:]), whole)
+    moves = own >= _SHARE_OF_FIRST * whole
+    sizes = _median_of_positive(np.where(moves | ~moves.any(axis=1, keepdims=True), own, np.nan))
     steps = _median_of_positive(_largest(np.abs(np.diff(values, axis=2))))
     length = float(steps[-1]) if maps.sectioned else None
     last = escaping.shape[1] - 1 - np.argmin(escaping[:, ::-1], axis=1)
