@@ -169,5 +169,5 @@ def test_what_an_atlas_cannot_do_is_said(tmp_path, analyses, message):
 
 def test_an_atlas_has_two_axes(tmp_path):
     experiment(tmp_path, f"atlas: {OPTIONS}")
-    with pytest.raises(ConfigError, match="followed over two axes, and the sweep has b"):
+    with pytest.raises(ConfigError, match="over two axes of more than one value, and the sweep has b"):
         jaxnh.load(tmp_path / "flow.yaml", ["sweep.a=null"])

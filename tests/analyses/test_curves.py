@@ -104,8 +104,8 @@ def test_cusp_over_two_parameters(tmp_path):
 @pytest.mark.parametrize(
     ("sweep", "message"),
     [
-        ("p: {start: -0.6, stop: 0.6, count: 13}", "followed over two axes, and the sweep has p"),
-        ("p: {values: [0.1, 0.2]}, q: {values: [0.1]}", "over a range of q"),
+        ("p: {start: -0.6, stop: 0.6, count: 13}", "over two axes of more than one value, and the sweep has p"),
+        ("p: {values: [0.1, 0.2]}, q: {values: [0.1]}", "over two axes of more than one value, and the sweep has p"),
     ],
 )
 def test_what_curves_cannot_do_is_said(tmp_path, sweep, message):

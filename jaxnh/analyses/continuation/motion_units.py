@@ -30,6 +30,8 @@ def sizes_in_motion(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> Floa
     settled, u = survey.period > 0, np.where((survey.period > 0)[:, None], survey.u, np.nan)
     if batch.on_section:
         resting = at_rest(batch, lanes, u)
+    elif batch.chart.dimensionless:  # where sizes are one, whatever moves
+        resting = np.zeros(batch.count, bool)
     elif batch.flow.continuous:
         moved = np.abs(lanes(_rates_over_period, (batch.system, _times(batch)), (u, dict(batch.p))))
         unit = np.max(extent(batch, lanes, batch.start), axis=0)
