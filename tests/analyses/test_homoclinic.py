@@ -212,8 +212,16 @@ def test_lorenz_from_cycles_of_large_period(tmp_path):
 @pytest.mark.parametrize(
     ("sweep", "options", "message"),
     [
-        ("{c: {start: 0.1, stop: 0.7, count: 4}}", "{box: {u: [0, 1]}}", "followed over two axes, and the sweep has c"),
-        ("{c: {values: [0.1, 0.2]}, a: {values: [0.1]}}", "{box: {u: [0, 1]}}", "over a range of a"),
+        (
+            "{c: {start: 0.1, stop: 0.7, count: 4}}",
+            "{box: {u: [0, 1]}}",
+            "over two axes of more than one value, and the sweep has c",
+        ),
+        (
+            "{c: {values: [0.1, 0.2]}, a: {values: [0.1]}}",
+            "{box: {u: [0, 1]}}",
+            "over two axes of more than one value, and the sweep has c",
+        ),
         ("{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}", "{}", "needs a box"),
         (
             "{c: {values: [0.1, 0.2]}, a: {values: [0.1, 0.2]}}",

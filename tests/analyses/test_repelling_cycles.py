@@ -76,7 +76,7 @@ def test_sizes_where_all_lanes_rest(lanes, transient):
     batch = lanes_from(0.1)
     survey = survey_from_start(batch, lanes, 1, "branches", transient)
     period = periods_in_motion(batch, lanes, survey)
-    sizes = sizes_in_motion(survey, period)
+    sizes = sizes_in_motion(batch, lanes, survey)
     assert not period.any()
     assert motion_unit([batch], lanes, period, sizes, BOX) == pytest.approx(1.2)
     assert motion_unit([batch], lanes, period, sizes, {}) == pytest.approx(0.1)
@@ -90,7 +90,7 @@ def test_sizes_of_lanes_that_move(lanes):
     batch = lanes_from(1.0)
     survey = survey_from_start(batch, lanes, 1, "branches", 256)
     period = periods_in_motion(batch, lanes, survey)
-    unit = motion_unit([batch], lanes, period, sizes_in_motion(survey, period), {"x": (0.2, 30.0)})
+    unit = motion_unit([batch], lanes, period, sizes_in_motion(batch, lanes, survey), {"x": (0.2, 30.0)})
     assert unit == pytest.approx(np.median([radii(mu)[1] for mu in (-0.2, -0.1)]), rel=1e-6)
     assert search_unit(batch, lanes, unit, {"x": (0.2, 30.0)}) == pytest.approx(30.0)
 
