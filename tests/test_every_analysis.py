@@ -558,11 +558,12 @@ def no_edges(attractors, word):
     """No boundary, of lanes with so many attractors, and the word that says why; no shock that leaves."""
 
     def check(data, _):
-        known, kind, status, shock, _ = lanes_of(data, "attractors", "kind", "status", "shock")
+        known, kind, status, shock, error, _ = lanes_of(data, "attractors", "kind", "status", "shock", "shock_error")
         assert np.all(known == attractors)
         assert not kind.any()
         assert {data["status"].attrs["flag_meanings"].split()[k] for k in status} == {word}
         assert np.isnan(shock).all()
+        assert np.isnan(error).all()
 
     return check
 
