@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Int
 
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner
@@ -22,6 +21,9 @@ from jaxnh.exceptions import InputError
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.readout import Output
 from jaxnh.systems.state import State
+
+if TYPE_CHECKING:
+    import xarray as xr  # imported where the first result is made: with pandas it takes a third of a second
 
 LANE = "lane"
 """Dimension of lanes side by side."""
@@ -159,6 +161,8 @@ Starts = Callable[[LaneBatch], tuple[State, Int[np.ndarray, " starts"]]]
 
 def number_lanes(options: Any, batch: LaneBatch, lanes: LaneRunner) -> xr.Dataset:
     """Return the numbers of lanes: the `run` of an analysis that only its `whole` computes something for."""
+    import xarray as xr
+
     return xr.Dataset({"lane_number": variable(LANE, np.arange(batch.count, dtype=np.int32), "number of a lane")})
 
 
@@ -246,7 +250,7 @@ class Analysis:
     check: Callable[[Any, Setting], None] = lambda _, __: None
     table: Callable[[xr.Dataset, Mapping[str, np.ndarray], str], Table] | None = None
     other_tables: Mapping[str, Callable[[xr.Dataset], Table]] = field(
-        default_factory=dict[str, Callable[[xr.Dataset], Table]]
+        default_factory=dict[str, "Callable[[xr.Dataset], Table]"]
     )
     price: Callable[[Any, LaneBatch], Price] | None = None
     brief: Mapping[str, int] = field(default_factory=dict[str, int])

@@ -21,9 +21,9 @@ GO_ON = "run the same command again to go on where it stopped"
 RESUME = 75
 """Exit code of a run that was stopped and can go on: the temporary failure of sysexits.h."""
 
-_ALLOCATIONS = 20_000
+_ALLOCATIONS = 100_000
 """Objects between two collections of garbage: what is imported and traced lives on, and a command that looks through it
-at each 700th new object, as is the default, loses 0.15 s before its first number."""
+at each 700th new object, as is the default, loses half a second before its first number."""
 _GRACE = 5.0  # seconds after a signal in which work in hand may come to a place to stop
 # The base of all faults of a command line, wherever typer keeps its parser.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
-import xarray as xr
 from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, variable
@@ -20,6 +19,9 @@ from jaxnh.jobs.cutting import Piece
 from jaxnh.maps.family import ParameterFamily
 from jaxnh.maps.section import System
 from jaxnh.systems.state import State
+
+if TYPE_CHECKING:
+    import xarray as xr  # imported where the first result is made: with pandas it takes a third of a second
 
 _MOST_ROWS = 8  # values of shared axes that samples of a sweep are taken at
 
@@ -143,6 +145,8 @@ def join_lanes(parts: Sequence[xr.Dataset], back: Int[np.ndarray, " lanes"]) -> 
         parts: which agree in what has no lanes.
         back: place of every lane among those of all parts.
     """
+    import xarray as xr
+
     common = CommonAttributes()
     for part in parts:
         common.add(part.attrs)
@@ -161,6 +165,8 @@ def to_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool)
     Args:
         line: whether the analysis has run along the whole first axis: its other variables then get the other axes.
     """
+    import xarray as xr
+
     lane_dims = tuple(axis.dim for axis in axes)
     others, shared = lane_dims[1:] if line else (), tuple(axis.dim for axis in axes if axis.kind == "shared")
     content = {}
@@ -181,6 +187,8 @@ def to_axes(data: xr.Dataset, piece: Piece, axes: Sequence[Axis], *, line: bool)
 
 def whole_to_axes(data: xr.Dataset, axes: Sequence[Axis]) -> xr.Dataset:
     """A dataset of all lanes of a sweep over its axes, and of what is there once for some of them."""
+    import xarray as xr
+
     names, shape = tuple(axis.dim for axis in axes), tuple(len(axis.values) for axis in axes)
     content = {
         name: (names + item.dims[1:], item.values.reshape(*shape, *item.shape[1:]), item.attrs)

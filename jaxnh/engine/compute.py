@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import xarray as xr
 
 from jaxnh.analyses.base import LANE, Analysis, SweepLanes
 from jaxnh.analyses.batch import Axis, LaneBatch
@@ -35,6 +34,9 @@ from jaxnh.jobs.job import Job, NumericalPlan
 from jaxnh.jobs.provenance import SecondsSpent
 from jaxnh.solvers import NAMED
 from jaxnh.solvers.runge_kutta import in_loop
+
+if TYPE_CHECKING:
+    import xarray as xr  # imported where the first result is made: with pandas it takes a third of a second
 
 
 class ComputedPiece(NamedTuple):
@@ -218,7 +220,8 @@ def _by_class(
     job, shape = sweep.job, [len(axis.values) for axis in sweep.experiment.axes]
     every = classes_of(job.plan.step_classes)
     classes = every[np.ravel_multi_index([place * job.cutting.step for place in places], shape)]
-    order, parts = list[np.ndarray](), list[dict[str, xr.Dataset]]()
+    order: list[np.ndarray] = []
+    parts: list[dict[str, xr.Dataset]] = []
     for halvings in np.unique(classes).tolist():
         order.append(np.flatnonzero(classes == halvings))
         of_class, count = [place[order[-1]] for place in places], lanes_together(every, halvings)

@@ -7,10 +7,9 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from jax.typing import ArrayLike
 
 from jaxnh.analyses.base import Analysis
@@ -44,6 +43,9 @@ from jaxnh.exceptions import InputError
 from jaxnh.jobs.arrays import import_beside
 from jaxnh.jobs.assembly import assemble
 from jaxnh.jobs.job import Job
+
+if TYPE_CHECKING:
+    import xarray as xr  # imported where the first result is made: with pandas it takes a third of a second
 
 ProgressCallback = Callable[[str, float, float], None]
 """(label, lane-periods done, lane-periods in all) of the stage in hand; an exception raised in it stops the call."""
@@ -240,6 +242,8 @@ class Session:
 
     def tree(self) -> xr.DataTree:
         """All analyses that the experiment asks for, with the root attributes of a result file."""
+        import xarray as xr
+
         began = time.perf_counter()
         job, groups = self._compute(self.experiment)
         attrs = attributes(self.experiment, job.stages()[-1], seconds_spent(self._lanes, time.perf_counter() - began))
@@ -293,7 +297,8 @@ class Session:
         plan = with_step_classes(experiment, axes, plan, requested, lanes)
         chosen = choose(experiment, axes, plan, requested, lanes)
         job = job_of(experiment, axes, plan, chosen, requested, lanes.machine, on_card=lanes.on_card)
-        whole, of_lanes = dict[str, xr.Dataset](), dict[str, xr.Dataset]()
+        whole: dict[str, xr.Dataset] = {}
+        of_lanes: dict[str, xr.Dataset] = {}
         for stage in job.stages():
             level = level_of(stage.cutting, whole, of_lanes)
             whole, of_lanes = self._stage(experiment, requested, stage, level)

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Complex, Float
-from scipy.linalg.lapack import dgeqrf, dorgqr  # pyright: ignore[reportAttributeAccessIssue]
 
 _TURNS = 4  # directions whose growth differs by more than 10³ a turn are then apart to rounding; others need not be
 _APART = 1e-12
@@ -102,14 +101,16 @@ def _last_turn(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarray, np
 
 def _last_turn_of_lane(blocks: Float[np.ndarray, "n d d"]) -> tuple[np.ndarray, np.ndarray]:
     """`_last_turn` of one lane, (d, d) each, of matrices that need not be stacked."""
+    from scipy.linalg import lapack  # here, as it takes a tenth of a second to import
+
     identity = np.eye(blocks.shape[-1])
     basis = start = product = identity
     for turn in range(_TURNS):
         start, counts = basis, turn == _TURNS - 1
         for block in blocks:
-            factors, scales, *_ = dgeqrf(block @ basis)
+            factors, scales, *_ = lapack.dgeqrf(block @ basis)
             product = np.triu(factors) @ product if counts else product
-            basis = dorgqr(factors, scales)[0]
+            basis = lapack.dorgqr(factors, scales)[0]
     return start.T @ basis, product
 
 

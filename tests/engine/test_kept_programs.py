@@ -199,6 +199,18 @@ def test_other_programs_have_other_names(folder, monkeypatch):
     assert len(set(names)) == len(names)
 
 
+def test_bytecode_is_no_part_of_the_package_s_text(tmp_path):
+    """A second command has more of it than the first, which programs of the first must not be lost by."""
+    (tmp_path / "map.py").write_text("period = 1.0\n")
+    (tmp_path / "kernel.h").write_text("#pragma once\n")
+    before = executables.hash_of_sources(tmp_path)
+    (tmp_path / "__pycache__").mkdir()
+    (tmp_path / "__pycache__" / "map.cpython-311.pyc").write_bytes(b"\x00")
+    assert executables.hash_of_sources(tmp_path) == before
+    (tmp_path / "kernel.h").write_text("#pragma twice\n")
+    assert executables.hash_of_sources(tmp_path) != before
+
+
 def test_what_has_no_certain_name_is_not_kept(folder, monkeypatch):
     """Functions of other packages, whose text may change, objects of a kind that is not known, and where it is off."""
 

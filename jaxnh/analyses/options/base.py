@@ -33,7 +33,7 @@ Omission = Annotated[bool | None, AfterValidator(lambda asked: None if asked els
 class Block(BaseModel, frozen=True):
     """A mapping in a config: frozen, strict about types, and a key that is not known is an error."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
     def _set_private(self, **values: Any) -> None:
         """Set private attributes, which a type checker takes to be as frozen as the others."""

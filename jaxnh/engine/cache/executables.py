@@ -38,6 +38,7 @@ from jaxnh.systems.corners import PiecewiseField
 from jaxnh.systems.user_file import UserFile
 
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "numpy")
+_SOURCES = (".py", ".h")
 # Settings of JAX that change what is traced or how it is compiled, beside XLA's options.
 _SETTINGS = (
     "jax_enable_x64",
@@ -89,11 +90,17 @@ def environment() -> str:
 @cache
 def _versions() -> list[str]:
     """Versions of Python and libraries, and a hash of the text of this package."""
+    libraries = [f"{name} {version(name)}" for name in _LIBRARIES]
+    return [sys.version, *libraries, hash_of_sources(Path(__file__).parents[2])]
+
+
+def hash_of_sources(folder: Path) -> str:
+    """Hash of the sources in a folder; bytecode, which comes and goes, is none."""
     text = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[2].rglob("*.[ph]*")):
+    for path in sorted(path for path in folder.rglob("*") if path.suffix in _SOURCES):
         content = path.read_bytes()
         text.update(f"{path.name} {len(content)} ".encode() + content)
-    return [sys.version, *(f"{name} {version(name)}" for name in _LIBRARIES), text.hexdigest()]
+    return text.hexdigest()
 
 
 def of_devices(devices: Sequence[Any]) -> str:

@@ -19,9 +19,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Bool, Int
 
 from jaxnh.analyses.base import LANE, variable
@@ -29,6 +29,9 @@ from jaxnh.analyses.batch import Axis
 from jaxnh.analyses.registry import ANALYSES
 from jaxnh.jobs.arrays import DATA
 from jaxnh.jobs.cutting import Cutting, Piece
+
+if TYPE_CHECKING:
+    import xarray as xr  # imported where the first result is made: with pandas it takes a third of a second
 
 COMPUTED = "computed"
 """Variable of a group: which places were computed, at whatever level."""
@@ -152,6 +155,8 @@ def mark_computed(group: xr.Dataset, lanes: xr.Dataset) -> xr.Dataset:
 
 def _insert_lanes(computed: xr.Dataset, mask: Bool[np.ndarray, " lanes"], around: xr.Dataset) -> xr.Dataset:
     """Insert computed lanes at their places among others."""
+    import xarray as xr
+
     content = {}
     for name, item in computed.variables.items():
         values = item.values
@@ -167,6 +172,8 @@ def _from_coarser(data: xr.Dataset, piece: Piece, names: Sequence[str], smooth: 
 
     Variables over some axes alone are left out.
     """
+    import xarray as xr
+
     first = [begin // 2 for begin in piece.begin]
     part = {name: slice(low, end // 2 + 1) for name, low, end in zip(names, first, piece.end, strict=True)}
     places = [np.arange(*ends) for ends in zip(piece.begin, piece.end, strict=True)]
