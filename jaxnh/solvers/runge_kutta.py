@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -55,7 +56,7 @@ class WrittenOutRungeKutta(ExplicitMethod):
     @property
     def stages(self) -> int:
         """Evaluations of the vector field that the solution needs, a step."""
-        return sum(1 for i in range(len(self.b)) if self.b[i] or any(i < len(row) and row[i] for row in self.a))
+        return _used_stages(self.a, self.b)
 
     def pair_step(self, field: Callable[[Any, Numbers], Numbers], t: Any, h: Any, y: Numbers) -> PairStep:
         """One step with its error estimate.
@@ -181,6 +182,12 @@ class WrittenOutRungeKutta(ExplicitMethod):
 def in_loop(solver: Any) -> Any:
     """A solver with its stages in a loop, where it can have them so, which needs the least compiling."""
     return replace(solver, rolled=True) if isinstance(solver, WrittenOutRungeKutta) else solver
+
+
+@cache
+def _used_stages(a: tuple[tuple[float, ...], ...], b: tuple[float, ...]) -> int:
+    """Number of stages that the solution, or a stage that it needs, has a weight of."""
+    return sum(1 for i in range(len(b)) if b[i] or any(i < len(row) and row[i] for row in a))
 
 
 def _times(rate: Any, h: Any) -> Any:

@@ -23,6 +23,7 @@ from jaxnh.maps.family import TreeStack
 from jaxnh.maps.protocol import ReturnMap
 
 _PLACED = 256  # arrays on the devices, at most
+_PREPARED = 64  # calls whose programs and shared arguments are at hand, at most
 _SMALL = 64  # numbers of an array that goes there in every call: looking for it takes longer
 
 
@@ -61,17 +62,34 @@ class Tiles(Protocol):
         ...
 
 
+class _Prepared(NamedTuple):
+    """What calls with the same function and shared arguments need again.
+
+    Attributes:
+        shared: the arguments, kept so that no others have their addresses.
+        program: compiled.
+        placed: leaves of `shared`, large arrays on the devices.
+        trip_count: iterations a period of the innermost loop.
+    """
+
+    shared: tuple[Any, ...]
+    program: Any
+    placed: list[Any]
+    trip_count: float
+
+
 class DeviceTiles:
     """Runs calls on devices."""
 
     def __init__(self, devices: Sequence[Any], programs: Programs, accounts: Accounts) -> None:
         self._devices, self._programs, self._accounts = devices, programs, accounts
         self._placed: dict[tuple[int, int], tuple[Any, Any]] = {}  # by the address of what is on so many devices
+        self._prepared: dict[Any, _Prepared] = {}
 
     def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
         """The tiles of a call; see `Tiles`."""
         devices = self._devices_of(call)
-        chunk, count, programs = call.tile * len(devices), count_of(call.lanes), list[tuple[Any, Any, float]]()
+        chunk, count, programs = call.tile * len(devices), count_of(call.lanes), list[_Prepared]()
         for number in range(first, count, chunk):
             part = jax.tree.map(lambda leaf, number=number: _pad(leaf[number : number + chunk], chunk), call.lanes)
             left = min(chunk, count - number)
@@ -81,24 +99,21 @@ class DeviceTiles:
                 results = jax.tree.map(lambda leaf, left=left: leaf[:left], results)
             yield number, results
 
-    def _follow(
-        self, call: Call, part: Any, programs: list[tuple[Any, Any, float]], asked: tuple[Any, ...]
-    ) -> list[Any]:
+    def _follow(self, call: Call, part: Any, programs: list[_Prepared], asked: tuple[Any, ...]) -> list[Any]:
         """Results of all links for one tile on each device; their programs are looked for with the first."""
         (carried, *others), devices, kept = part, self._devices_of(call), list[Any]()
         if len(call.links) > 1:
             others = jax.device_put(others, _sharding(devices, "lanes"))
         for k, link in enumerate(call.links):
+            leaves, structure = jax.tree.flatten((carried, *others))
             if k == len(programs):
-                program = self._program(link, (carried, *others), devices)
-                iterations = link.periods and link.periods * inner_trip_count(link.shared)
-                programs.append((program, self._on_devices(link.shared, devices), iterations))
-            program, placed, iterations = programs[k]
+                programs.append(self._prepare(link, leaves, structure, devices))
+            prepared = programs[k]
             began = time.perf_counter()
-            result = jax.block_until_ready(program(placed, jax.tree.leaves((carried, *others)), *asked))
+            result = jax.block_until_ready(prepared.program(prepared.placed, leaves, *asked))
             seconds = time.perf_counter() - began
             self._accounts.run_seconds += seconds
-            if iterations:
+            if iterations := link.periods * prepared.trip_count:
                 self._accounts.fastest = min(self._accounts.fastest, seconds / (iterations * count_of(part)))
             carried, read = link.keep(result)
             kept.append(read)
@@ -110,6 +125,23 @@ class DeviceTiles:
         chunk = call.tile * len(devices)
         lanes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((chunk, *leaf.shape[1:]), leaf.dtype), call.lanes)
         return self._program(call.links[0], lanes, devices).as_text()
+
+    def _prepare(self, link: Link, leaves: Sequence[Any], structure: Any, devices: Sequence[Any]) -> _Prepared:
+        """The program of a link for lanes of such leaves, and its shared arguments, looked for once.
+
+        Newton's iterates call one function with the same maps hundreds of times, and to take a map apart takes as long
+        as a short return.
+        """
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        same = tuple((part.dtype, part.item()) if isinstance(part, np.generic) else id(part) for part in link.shared)
+        key = link.function, link.static, same, shapes, structure, len(devices)
+        if key not in self._prepared:
+            lanes = jax.tree.unflatten(structure, leaves)
+            program, placed = self._program(link, lanes, devices), self._on_devices(link.shared, devices)
+            if len(self._prepared) >= _PREPARED:
+                self._prepared.clear()
+            self._prepared[key] = _Prepared(link.shared, program, placed, inner_trip_count(link.shared))
+        return self._prepared[key]
 
     def _program(self, link: Link, lanes: tuple[Any, ...], devices: Sequence[Any]) -> Any:
         """The compiled program of a link for the lanes of a tile on each device."""
