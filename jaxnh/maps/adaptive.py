@@ -94,12 +94,29 @@ class AdaptiveStrobe(ReturnMap):
     def pushforward(
         self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
     ) -> Pushforward:
+        system, own, first = self.system, own_parameters(self.system, p), jax.tree.leaves(state)[0]
+        by_p, placed, ended = self._marched(state, p, tangents, volume)
+        moving = ended.moving
+        if not system.reduction.leaves_constraints:
+            end = self.begin + self.length
+            moving = _along(lambda z, own: restored(system, end, z, placed, {**p, **own}), moving, own, by_p)
+        why = jnp.where(ended.trials < _MOST_TRIALS, NOT_FINITE, OUT_OF_STEPS)
+        arrived = masked(moving.state, ended.t >= self.length, why)
+        pushed = tuple(Tangent(dz, t.p) for dz, t in zip(moving.tangents, tangents, strict=True))
+        return Pushforward(arrived, pushed, moving.log_volume if volume else jnp.zeros_like(first))
+
+    def trials(self, state: State, p: Parameters) -> Array:
+        """Number of steps that the motion from a state tries, the most there may be where it does not come through."""
+        _, _, ended = self._marched(state, p, (), volume=False)
+        return jnp.where(ended.t >= self.length, ended.trials, _MOST_TRIALS)
+
+    def _marched(
+        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool
+    ) -> tuple[list[Any], State, _Progress]:
+        """The parameters' part of tangents, the state on its constraints at the beginning, and the lane at its end."""
         system, reduction, own = self.system, self.system.reduction, own_parameters(self.system, p)
         by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         rates = self._rates(volume)
-
-        def along_tangents(change: Callable[[State, Any], State], y: Moving) -> Moving:
-            return Moving(*linearise(change, y.state, own, y.tangents, by_p), y.log_volume)
 
         def advance(course: _Progress) -> _Progress:
             y, left = course.moving, self.length - course.t
@@ -132,22 +149,14 @@ class AdaptiveStrobe(ReturnMap):
         zero = jnp.zeros_like(first)
         start = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
         if not reduction.leaves_constraints:
-            start = along_tangents(lambda z, own: system.project(self.begin, z, {**p, **own}), start)
+            start = _along(lambda z, own: system.project(self.begin, z, {**p, **own}), start, own, by_p)
         placed = start.state
         start = Moving(reduction.reduce(placed), tuple(map(reduction.reduce, start.tangents)), start.log_volume)
         size = [jnp.abs(lax.stop_gradient(x)) for x in _components(start.state)]
         rate = jax.tree.unflatten(jax.tree.structure(start.state), rates(self.begin, start.state, own)[: _count(start)])
         h = self._first_step(size, _components(rate))
         course = _Progress(start, size, zero, h, zero + 1.0, zero > 1.0, jnp.int32(0))
-        ended = lax.while_loop(unfinished, advance, as_batched(course, first))
-        moving = ended.moving
-        if not reduction.leaves_constraints:
-            end = self.begin + self.length
-            moving = along_tangents(lambda z, own: restored(system, end, z, placed, {**p, **own}), moving)
-        why = jnp.where(ended.trials < _MOST_TRIALS, NOT_FINITE, OUT_OF_STEPS)
-        arrived = masked(moving.state, ended.t >= self.length, why)
-        pushed = tuple(Tangent(dz, t.p) for dz, t in zip(moving.tangents, tangents, strict=True))
-        return Pushforward(arrived, pushed, moving.log_volume if volume else jnp.zeros_like(first))
+        return by_p, placed, lax.while_loop(unfinished, advance, as_batched(course, first))
 
     def _rates(self, volume: bool) -> Callable[[Any, State, Any], list[Any]]:
         """Rates of the state's numbers, and of the logarithm of a volume where that is asked for."""
@@ -215,6 +224,16 @@ def adaptive_parts(system: Flow, solver: AdaptiveMethod, steps: int, ends: np.nd
     parts = (len(ends) - 1,)
     tolerance, longest = np.full(parts, solver.tolerance(steps)), np.full(parts, _LONGEST * system.period / steps)
     return AdaptiveStrobe(stack_leaves(system, parts), solver, ends[:-1], np.diff(ends), tolerance, longest)
+
+
+def count_trials(strobe: AdaptiveStrobe, state: State, p: Parameters) -> Array:
+    """`AdaptiveStrobe.trials` of one lane."""
+    return strobe.trials(state, p)
+
+
+def _along(change: Callable[[State, Any], State], y: Moving, own: Any, by_p: list[Any]) -> Moving:
+    """A change of the state, and of its tangents along it."""
+    return Moving(*linearise(change, y.state, own, y.tangents, by_p), y.log_volume)
 
 
 def _components(y: State) -> list[Any]:

@@ -65,6 +65,27 @@ def test_a_stiff_flow_is_followed_unasked(lanes):
         assert abs(float(x) - known) < plan.error_estimate * plan.sizes[name]
 
 
+def brusselator(rate=20.0):
+    """The Brusselator with A = 1, B the rate, whose spikes have rates of thousands and last a hundredth of its period."""
+    rhs = lambda z, t: (1.0 - (rate + 1.0) * z[0] + z[0] ** 2 * z[1], rate * z[0] - z[0] ** 2 * z[1])  # noqa: E731
+    return {"rhs": rhs, "coordinates": ("x", "y")}
+
+
+def test_steps_of_a_lane_s_own_are_taken_where_they_are_fewer(lanes):
+    """Common steps would do, with 50,000 evaluations of the field a unit of time; heyoka has the state after the spike."""
+    start = (1.0, 21.0)
+    flow, plan, _ = plan_of(brusselator, start, 20.0, lanes)
+    assert plan.solver.name == "rodas5p"
+    assert 0.0 < plan.error_estimate <= TARGET
+    state = flow.start(dict(zip("xy", start, strict=True)))
+    image = iterate(make_return_map(flow, plan.solver, plan.steps), 1, state, {"rate": 20.0})
+    x, y = hy.make_vars("x", "y")
+    exact = hy.taylor_adaptive([(x, 1.0 - 21.0 * x + x * x * y), (y, 20.0 * x - x * x * y)], list(start), tol=1e-15)
+    exact.propagate_until(1.0)
+    for name, z, known in zip("xy", image.y, exact.state, strict=True):
+        assert abs(float(z) - known) < plan.error_estimate * plan.sizes[name]
+
+
 @pytest.mark.slow  # fast lanes beside slow ones, and this flow without a section, are quick
 def test_lanes_that_common_steps_lose_are_no_lanes_that_escape(lanes):
     """Van der Pol at μ = 50 beside 200: the return time of the stiffer lane, 323.91604, by heyoka between its events."""

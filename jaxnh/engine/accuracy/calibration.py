@@ -20,7 +20,7 @@ from jaxnh.engine.accuracy.reference import (
     refine_reference,
     roundings_of_sums,
 )
-from jaxnh.engine.accuracy.sample_maps import SampleMaps, differences, gaps_between
+from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples, differences, gaps_between
 from jaxnh.engine.accuracy.samples import are_lost_by, take_samples
 from jaxnh.engine.accuracy.sizes import sizes_by_name
 from jaxnh.engine.axes import SweepPoints
@@ -46,6 +46,9 @@ MOST_REHEARSED = 1 << 13
 """Periods in which steps are to lose no lane, at most."""
 
 _ROUNDS = 8
+_DEAR = 1 << 14  # evaluations of the field a period: those of fewer are not worth a look at other steps
+_MARGIN = 2.0  # times as many evaluations of the field as own steps need are paid for common ones, which are simpler
+_NEAR_TARGET = 0.1  # times the target: errors of single steps add up
 _REHEARSING = 32  # lanes of which steps are to lose none
 _SPLIT, _MOST_PARTS = 4, 1024  # parts of a unit of time that is too long for its rounding
 _PRECISE = {
@@ -83,6 +86,10 @@ class Plan(NamedTuple):
     def kicks(self) -> int:
         """Evaluations of the field a period by a Runge–Kutta method; 0 by others, as that of tables."""
         return self.solver.stages * self.steps if isinstance(self.solver, WrittenOutRungeKutta) else 0
+
+
+class TooDearError(LostLaneError):
+    """Steps that all lanes share take far more evaluations of the field than those of a lane's own."""
 
 
 class Calibration:
@@ -131,23 +138,28 @@ class Calibration:
             return
         try:
             self._measure(maps)
-        except LostLaneError:
-            if not self._take_own_steps(maps):
+        except LostLaneError as lost:
+            own = self._take_own_steps(maps)
+            if isinstance(lost, TooDearError):
+                if not own or self.floor > self._target:
+                    self._measure(maps, at_any_price=True)
+            elif not own:
                 raise
 
-    def _measure(self, maps: SampleMaps, candidates: Sequence[Solver] = ()) -> None:
+    def _measure(self, maps: SampleMaps, candidates: Sequence[Solver] = (), *, at_any_price: bool = False) -> None:
         """Take samples and measure the reference by maps of one way to integrate.
 
         Args:
             candidates: solvers to choose from, by default those of the way.
+            at_any_price: whether steps that all lanes share are taken where each lane's own are fewer.
         """
-        self._maps = maps
+        self._maps, self._at_any_price = maps, at_any_price
         flow, scheme = maps.flow, maps.scheme
         # Without a clock every step starts and ends by itself: no processor around many, no sums over them.
         solvers = candidates or scheme.solvers(flow, self._precision)
         self._candidates = tuple(s for s in solvers if not (flow.autonomous and s.processor[1]))
         self._summations = (False,) if flow.autonomous else scheme.summations
-        paths = take_samples(maps, self._rows, self._given)
+        paths = take_samples(maps, self._rows, self._given, self._pay)
         self._samples, looked_at, self._sizes, self._start, self._violent = paths
         self.sizes = sizes_by_name(maps.flows[0], self._sizes)
         self._left_out = int(LEFT_OUT * looked_at)
@@ -161,16 +173,33 @@ class Calibration:
         Returns:
             Whether it helps: not where that is tried already, or is for no flow of this kind.
         """
-        flow = maps.flow
-        jumps = isinstance(flow, PiecewiseSmooth) and flow.needs_events  # which those steps know nothing of
-        if maps.adaptive or maps.scheme.smooth or jumps or self._precision != "float64":
+        if not self._has_own_steps(maps):
             return False
-        maps.tell("steps that all lanes share do not do; each lane takes steps of its own")
+        maps.tell("each lane takes steps of its own: those that all lanes share do not do, or take longer")
         try:
             self._measure(maps.with_own_steps())
         except AccuracyError:
             return False
         return True
+
+    def _has_own_steps(self, maps: SampleMaps) -> bool:
+        """Return whether there is a way with steps of a lane's own, and it is another one."""
+        flow = maps.flow
+        jumps = isinstance(flow, PiecewiseSmooth) and flow.needs_events  # which those steps know nothing of
+        return not (maps.adaptive or maps.scheme.smooth or jumps or self._precision != "float64")
+
+    def _pay(self, kicks: int, samples: Samples) -> None:
+        """Look whether so many evaluations of the field a period, of steps that all lanes share, are worth it.
+
+        Raises:
+            TooDearError: each lane's own steps do with far fewer.
+        """
+        maps = self._maps
+        free = self._at_any_price or not self._target or maps.parts > 1
+        if kicks < _DEAR or free or not self._has_own_steps(maps):
+            return
+        if kicks > _MARGIN * maps.evaluations_of_own_steps(samples, _NEAR_TARGET * self._target):
+            raise TooDearError
 
     def _jumps_at(self, sample: int) -> bool:
         """Return whether the field jumps on a sample's motion: the map's tangents know nothing of a jump."""
@@ -252,10 +281,10 @@ class Calibration:
 
     def _measure_reference(self) -> None:
         """Measure the reference."""
-        self._reference = refine_reference(self._maps, self._samples, self._sizes, self._target, self._largest_at)
+        args = self._maps, self._samples, self._sizes
+        self._reference = refine_reference(*args, self._target, self._largest_at, self._pay)
         self.floor = self._largest(self._reference.known)
-        args = self._maps, self._samples, self._sizes, self._reference.kicks
-        self._tables, self._rounding = roundings_of_sums(*args, self._largest), -math.inf
+        self._tables, self._rounding = roundings_of_sums(*args, self._reference.kicks, self._largest), -math.inf
 
     def _rounding_of_sums(self, error: float) -> float:
         """The rounding of plain sums in the worst of a few tables, of so many as it takes to compare with an error.

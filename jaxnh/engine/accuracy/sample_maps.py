@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.maps.adaptive import count_trials
 from jaxnh.maps.build import ADAPTIVE_SCHEME, Scheme, make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Section, System, flow_of
-from jaxnh.solvers import AdaptiveMethod, Solver
+from jaxnh.solvers import ADAPTIVE, AdaptiveMethod, Solver
 from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components
@@ -26,6 +27,9 @@ Image = list[np.ndarray]
 
 _MAPS_KEPT = 64  # of flows, while a number of steps is looked at
 _SILENT_SECONDS = 10.0
+_COUNTED = 16  # samples whose steps are counted where each lane has its own
+_FINEST_COUNTED = 1 << 16  # evaluations of the field of a calm period, at most
+_OF_JACOBIAN = 2.0  # evaluations of the field that a column of its Jacobian and its elimination take
 
 
 class Samples(NamedTuple):
@@ -97,6 +101,26 @@ class SampleMaps:
     def with_own_steps(self) -> SampleMaps:
         """Return maps of the same flows over whole units of time, in which each lane has steps of its own."""
         return SampleMaps(self.flows, self._lanes, scheme=ADAPTIVE_SCHEME)
+
+    def evaluations_of_own_steps(self, samples: Samples, target: float) -> float:
+        """Evaluations of the field a period, or unit of time, with steps of a lane's own that meet a target.
+
+        Of the slowest lanes, for which the others of their tile wait.
+        """
+        solver = ADAPTIVE["rodas5p"]
+        picked = samples.take_lanes(np.unique(np.linspace(0, len(samples.row) - 1, _COUNTED).round().astype(int)))
+        if self.sectioned:
+            picked = picked._replace(states=picked.states.state)
+        steps = solver.most_steps(_FINEST_COUNTED)
+        while steps > 1 and solver.tolerance(steps // 2) <= target:
+            steps //= 2
+
+        def shared(row: int) -> tuple[ReturnMap]:
+            return (make_return_map(flow_of(self.flows[row]), solver, steps),)
+
+        trials = np.asarray(self.by_flow(count_trials, shared, picked, 1))
+        dimension = len(self.flow.coordinates)
+        return float(np.max(trials)) * (solver.stages + _OF_JACOBIAN * dimension)
 
     def tell(self, text: str) -> None:
         """Report the progress of a long calibration."""

@@ -5,7 +5,7 @@ What runs maps on samples is in `sample_maps`, the sizes that errors are compare
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -59,15 +59,22 @@ class SamplePaths(NamedTuple):
     violent: bool
 
 
-def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[str, float]) -> SamplePaths:
+def take_samples(
+    maps: SampleMaps,
+    rows: Sequence[SweepPoints],
+    given: Mapping[str, float],
+    pay: Callable[[int, Samples], None] = lambda _, __: None,
+) -> SamplePaths:
     """Return states across a sweep from the start towards the attractor: those whose periods err most, and some of all.
 
     Args:
         rows: sample lanes, those of each value of the shared axes together.
         given: sizes by coordinate, in place of those measured.
+        pay: called with the evaluations of the field a period of the steps that follow the motion, and the start.
 
     Raises:
         AccuracyError: no lane has a period that can be computed.
+        TooDearError: `pay` has raised it.
     """
     number = np.concatenate([np.full(len(jax.tree.leaves(row.start)[0]), i) for i, row in enumerate(rows)])
     start, p, where = (
@@ -76,7 +83,7 @@ def take_samples(maps: SampleMaps, rows: Sequence[SweepPoints], given: Mapping[s
     )
     now = Samples(start, p, number, where)
     first = _seed_steps(maps, now)
-    whole, changes, steps = _follow_from_start(maps, now, first)
+    whole, changes, steps = _follow_from_start(maps, now, first, pay)
     escaping = _is_escaping(whole.states) | _grows(whole.states)
     sizes = measure_sizes(maps, whole, changes, escaping, given)
     sensitive = gaps_between(changes, sizes)
@@ -110,7 +117,7 @@ def are_lost_by(maps: SampleMaps, start: Samples, solver: Solver, steps: int, pe
 
 
 def _follow_from_start(
-    maps: SampleMaps, start: Samples, steps: int
+    maps: SampleMaps, start: Samples, steps: int, pay: Callable[[int, Samples], None]
 ) -> tuple[Samples, Float[np.ndarray, "components lanes periods"], int]:
     """Follow lanes over the periods that are looked at, by so many steps or as many more as follow their motions.
 
@@ -124,6 +131,7 @@ def _follow_from_start(
         LostLaneError: the most steps that are tried lose a lane whose motion stays finite; of a lane's own, all lanes.
     """
     while True:
+        pay(steps * maps.scheme.reference.stages, start)
         states, apart, last = _follow_by(maps, start, steps)
         if (stays := _lost_on_the_way(maps, start, states, last)) < 0:
             return start._replace(states=states), apart, steps
