@@ -99,7 +99,7 @@ class AdaptiveStrobe(ReturnMap):
         moving = ended.moving
         if not system.reduction.leaves_constraints:
             end = self.begin + self.length
-            moving = _along(lambda z, own: restored(system, end, z, placed, {**p, **own}), moving, own, by_p)
+            moving = _carried_along(lambda z, own: restored(system, end, z, placed, {**p, **own}), moving, own, by_p)
         why = jnp.where(ended.trials < _MOST_TRIALS, NOT_FINITE, OUT_OF_STEPS)
         arrived = masked(moving.state, ended.t >= self.length, why)
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(moving.tangents, tangents, strict=True))
@@ -149,7 +149,7 @@ class AdaptiveStrobe(ReturnMap):
         zero = jnp.zeros_like(first)
         start = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
         if not reduction.leaves_constraints:
-            start = _along(lambda z, own: system.project(self.begin, z, {**p, **own}), start, own, by_p)
+            start = _carried_along(lambda z, own: system.project(self.begin, z, {**p, **own}), start, own, by_p)
         placed = start.state
         start = Moving(reduction.reduce(placed), tuple(map(reduction.reduce, start.tangents)), start.log_volume)
         size = [jnp.abs(lax.stop_gradient(x)) for x in _components(start.state)]
@@ -231,7 +231,7 @@ def count_trials(strobe: AdaptiveStrobe, state: State, p: Parameters) -> Array:
     return strobe.trials(state, p)
 
 
-def _along(change: Callable[[State, Any], State], y: Moving, own: Any, by_p: list[Any]) -> Moving:
+def _carried_along(change: Callable[[State, Any], State], y: Moving, own: Any, by_p: list[Any]) -> Moving:
     """A change of the state, and of its tangents along it."""
     return Moving(*linearise(change, y.state, own, y.tangents, by_p), y.log_volume)
 

@@ -62,7 +62,7 @@ class Tiles(Protocol):
         ...
 
 
-class _Prepared(NamedTuple):
+class _PreparedCall(NamedTuple):
     """What calls with the same function and shared arguments need again.
 
     Attributes:
@@ -84,12 +84,12 @@ class DeviceTiles:
     def __init__(self, devices: Sequence[Any], programs: Programs, accounts: Accounts) -> None:
         self._devices, self._programs, self._accounts = devices, programs, accounts
         self._placed: dict[tuple[int, int], tuple[Any, Any]] = {}  # by the address of what is on so many devices
-        self._prepared: dict[Any, _Prepared] = {}
+        self._prepared: dict[Any, _PreparedCall] = {}
 
     def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
         """The tiles of a call; see `Tiles`."""
         devices = self._devices_of(call)
-        chunk, count, programs = call.tile * len(devices), count_of(call.lanes), list[_Prepared]()
+        chunk, count, programs = call.tile * len(devices), count_of(call.lanes), list[_PreparedCall]()
         for number in range(first, count, chunk):
             part = jax.tree.map(lambda leaf, number=number: _pad(leaf[number : number + chunk], chunk), call.lanes)
             left = min(chunk, count - number)
@@ -99,7 +99,7 @@ class DeviceTiles:
                 results = jax.tree.map(lambda leaf, left=left: leaf[:left], results)
             yield number, results
 
-    def _follow(self, call: Call, part: Any, programs: list[_Prepared], asked: tuple[Any, ...]) -> list[Any]:
+    def _follow(self, call: Call, part: Any, programs: list[_PreparedCall], asked: tuple[Any, ...]) -> list[Any]:
         """Results of all links for one tile on each device; their programs are looked for with the first."""
         (carried, *others), devices, kept = part, self._devices_of(call), list[Any]()
         if len(call.links) > 1:
@@ -126,7 +126,7 @@ class DeviceTiles:
         lanes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((chunk, *leaf.shape[1:]), leaf.dtype), call.lanes)
         return self._program(call.links[0], lanes, devices).as_text()
 
-    def _prepare(self, link: Link, leaves: Sequence[Any], structure: Any, devices: Sequence[Any]) -> _Prepared:
+    def _prepare(self, link: Link, leaves: Sequence[Any], structure: Any, devices: Sequence[Any]) -> _PreparedCall:
         """The program of a link for lanes of such leaves, and its shared arguments, looked for once.
 
         Newton's iterates call one function with the same maps hundreds of times, and to take a map apart takes as long
@@ -140,7 +140,7 @@ class DeviceTiles:
             program, placed = self._program(link, lanes, devices), self._on_devices(link.shared, devices)
             if len(self._prepared) >= _PREPARED:
                 self._prepared.clear()
-            self._prepared[key] = _Prepared(link.shared, program, placed, inner_trip_count(link.shared))
+            self._prepared[key] = _PreparedCall(link.shared, program, placed, inner_trip_count(link.shared))
         return self._prepared[key]
 
     def _program(self, link: Link, lanes: tuple[Any, ...], devices: Sequence[Any]) -> Any:
