@@ -1,0 +1,117 @@
+"""Flows with Bogdanov–Takens points, and where the homoclinic orbits near them are: series, and shooting by DOP853."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tests.flows import connections
+
+A, B = 0.7, -1.3
+"""Coefficients of `bent`."""
+
+
+def normal_form(p=0.0, q=0.0, b=-1.0):
+    """w₀'' = p + q w₀' + w₀² + b w₀ w₀'."""
+
+    def rhs(y, t):
+        w0, w1 = y
+        return w1, p + q * w1 + w0 * w0 + b * w0 * w1
+
+    return {"rhs": rhs, "coordinates": ("w0", "w1")}
+
+
+def bent(p=0.0, q=0.0):
+    """The normal form with a = 0.7, b = −1.3 in other coordinates and parameters, beside a direction that attracts.
+
+    w₀ = x + 0.3 v + 0.4 q, w₁ = v + 0.2 x², β₁ = p + 0.6 q + 0.5 q², β₂ = 0.9 q − 0.4 p.
+    """
+
+    def rhs(y, t):
+        x, v, z = y
+        w0, w1 = x + 0.3 * v + 0.4 * q, v + 0.2 * x * x
+        push = p + 0.6 * q + 0.5 * q * q + (0.9 * q - 0.4 * p) * w1 + 0.7 * w0 * w0 - 1.3 * w0 * w1
+        to_x = (w1 - 0.3 * push) / (1.0 - 0.12 * x)
+        return to_x, push - 0.4 * x * to_x, x * x + 0.5 * w1 - z
+
+    return {"rhs": rhs, "coordinates": ("x", "v", "z")}
+
+
+def betas(values):
+    """The parameters of the normal form from those of `bent`, (..., 2)."""
+    p, q = np.moveaxis(np.asarray(values), -1, 0)
+    return np.stack([p + 0.6 * q + 0.5 * q * q, 0.9 * q - 0.4 * p], axis=-1)
+
+
+def second_term(beta, a, b):
+    """ε, and the coefficient of (ε b / a)² in τ = 10/7 + …, of the homoclinic orbit at parameters of the normal form.
+
+    It is 288/2401 up to a share ε² (Al-Hdaibat, Govaerts, Kuznetsov and Meijer, SIAM J. Appl. Dyn. Syst. 15 (2016) 952).
+    """
+    first, second = np.moveaxis(np.asarray(beta), -1, 0)
+    eps = (-first * a / 4.0) ** 0.25
+    return eps, (second * a / b / eps**2 - 10.0 / 7.0) * (a / (b * eps)) ** 2
+
+
+def bazykin(alpha=0.4, delta=0.2, gamma=1.0, eps=0.01):
+    """Prey and predators (Bazykin 1985; Kuznetsov, Elements of Applied Bifurcation Theory, 2004, 8.3)."""
+
+    def rhs(y, t):
+        x, v = y
+        eaten = x * v / (1.0 + alpha * x)
+        return x - eaten - eps * x * x, eaten - gamma * v - delta * v * v
+
+    return {"rhs": rhs, "coordinates": ("x", "v")}
+
+
+def lorenz84(f=2.0, t=0.04, alpha=0.25, g=0.25, gamma=0.987, delta=1.04):
+    """The extended Lorenz-84 model, β = 1 (Kuznetsov, Meijer and van Veen, Int. J. Bifurcation Chaos 14 (2004) 2253)."""
+
+    def rhs(state, time):
+        x, y, z, u = state
+        return (
+            -y * y - z * z - alpha * x + alpha * f - gamma * u * u,
+            x * y - x * z - y + g,
+            x * y + x * z - z,
+            -delta * u + gamma * u * x + t,
+        )
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z", "u")}
+
+
+def exact(define, names, values, saddle, toward, duration, width=1e-8):
+    """The first parameter of the homoclinic orbit at the second, by bisection of where the unstable manifold goes.
+
+    Args:
+        define: the flow.
+        names: of both parameters.
+        values: of both, nearly.
+        saddle: nearly.
+        toward: a state that the orbit comes to, as seen from the saddle.
+        duration: time, at most.
+        width: of the interval that the value is looked for in, to either side.
+    """
+
+    def side(first):
+        rhs = define(**dict(zip(names, (first, values[1]), strict=True)))["rhs"]
+
+        def field(y):
+            return jnp.stack(rhs(y, 0.0))
+
+        jacobian, state = jax.jit(jax.jacfwd(field)), np.asarray(saddle, float)
+        for _ in range(8):
+            state = state - np.linalg.solve(jacobian(state), field(state))
+        slopes = np.asarray(jacobian(state))
+        rates, vectors = np.linalg.eig(slopes)
+        vector = vectors[:, np.argmax(rates.real)].real
+        largest = np.argmax(np.abs(vector))
+        # `side` goes the way in which this component grows.
+        turn = np.sign(vector[largest]) * np.sign(vector @ (toward - state))
+
+        def moved(y, t):
+            return turn * np.array(rhs(state + turn * np.asarray(y), t))
+
+        return connections.side(moved, slopes, duration)
+
+    return connections.located(side, values[0] - width, values[0] + width, 24)
