@@ -22,6 +22,16 @@ def normal_form(p=0.0, q=0.0, b=-1.0):
     return {"rhs": rhs, "coordinates": ("w0", "w1")}
 
 
+def without_b(p=0.0, q=0.0):
+    """w₀'' = p + q w₀' + w₀²: no loop but at q = 0."""
+
+    def rhs(y, t):
+        w0, w1 = y
+        return w1, p + q * w1 + w0 * w0
+
+    return {"rhs": rhs, "coordinates": ("w0", "w1")}
+
+
 def bent(p=0.0, q=0.0):
     """The normal form with a = 0.7, b = −1.3 in other coordinates and parameters, beside a direction that attracts.
 
@@ -80,38 +90,33 @@ def lorenz84(f=2.0, t=0.04, alpha=0.25, g=0.25, gamma=0.987, delta=1.04):
     return {"rhs": rhs, "coordinates": ("x", "y", "z", "u")}
 
 
-def exact(define, names, values, saddle, toward, duration, width=1e-8):
-    """The first parameter of the homoclinic orbit at the second, by bisection of where the unstable manifold goes.
+def side(define, names, values, saddle, toward, duration):
+    """The side on which the unstable manifold of a saddle goes past it, by DOP853: another one beyond a homoclinic orbit.
 
     Args:
         define: the flow.
         names: of both parameters.
-        values: of both, nearly.
+        values: of both.
         saddle: nearly.
-        toward: a state that the orbit comes to, as seen from the saddle.
+        toward: a state that the manifold comes to.
         duration: time, at most.
-        width: of the interval that the value is looked for in, to either side.
     """
+    rhs = define(**dict(zip(names, map(float, values), strict=True)))["rhs"]
 
-    def side(first):
-        rhs = define(**dict(zip(names, (first, values[1]), strict=True)))["rhs"]
+    def field(y):
+        return jnp.stack(rhs(y, 0.0))
 
-        def field(y):
-            return jnp.stack(rhs(y, 0.0))
+    jacobian, state = jax.jacfwd(field), np.asarray(saddle, float)
+    for _ in range(4):
+        state = state - np.linalg.solve(np.asarray(jacobian(state)), np.asarray(field(state)))
+    slopes = np.asarray(jacobian(state))
+    rates, vectors = np.linalg.eig(slopes)
+    vector = vectors[:, np.argmax(rates.real)].real
+    largest = np.argmax(np.abs(vector))
+    # The component that is the largest is to grow, of a manifold that goes toward the state.
+    turn = np.sign(vector[largest]) * np.sign(vector @ (toward - state))
 
-        jacobian, state = jax.jit(jax.jacfwd(field)), np.asarray(saddle, float)
-        for _ in range(8):
-            state = state - np.linalg.solve(jacobian(state), field(state))
-        slopes = np.asarray(jacobian(state))
-        rates, vectors = np.linalg.eig(slopes)
-        vector = vectors[:, np.argmax(rates.real)].real
-        largest = np.argmax(np.abs(vector))
-        # `side` goes the way in which this component grows.
-        turn = np.sign(vector[largest]) * np.sign(vector @ (toward - state))
+    def moved(y, t):
+        return turn * np.array(rhs((state + turn * np.asarray(y)).tolist(), t))
 
-        def moved(y, t):
-            return turn * np.array(rhs(state + turn * np.asarray(y), t))
-
-        return connections.side(moved, slopes, duration)
-
-    return connections.located(side, values[0] - width, values[0] + width, 24)
+    return connections.side(moved, slopes, duration)

@@ -156,11 +156,12 @@ def _no_start(
             f"curves of folds and Hopf points of equilibria from {options.n_starts} starts at {len(values)} "
             f"value{'s' * (len(values) > 1)} of {names[1]}"
         ]
+    lost = [start for start in starts if start.orbit is None]
+    places = [np.where(np.abs(start.values) <= start.error, 0.0, start.values).tolist() for start in lost]
     return [
-        f"homoclinic: no curve begins at the Bogdanov–Takens point at {names[0]} = {start.values[0]:.9g}, {names[1]} = "
-        f"{start.values[1]:.9g}: {start.tried}"
-        for start in starts
-        if start.orbit is None
+        f"homoclinic: no curve begins at the Bogdanov–Takens point at {names[0]} = {place[0]:.9g}, {names[1]} = "
+        f"{place[1]:.9g}: {start.tried}"
+        for start, place in zip(lost, places, strict=True)
     ]
 
 
