@@ -109,7 +109,7 @@ def test_published_flows(tmp_path, define, initial, sweep, box, at):
         covered = np.array([errors[k, 0] + slope * errors[k, 1] + 1e-12, 0.0])  # of DOP853
         assert covered[0] < 1e-8
         sides = [
-            bogdanov_takens.side(define, names, values[k] + shift, saddle, path[10], duration)
+            bogdanov_takens.side(define, names, values[k] + shift, saddle, path, duration)
             for shift in (-covered, covered)
         ]
         assert sides[0] != sides[1]

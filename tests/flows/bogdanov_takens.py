@@ -90,15 +90,17 @@ def lorenz84(f=2.0, t=0.04, alpha=0.25, g=0.25, gamma=0.987, delta=1.04):
     return {"rhs": rhs, "coordinates": ("x", "y", "z", "u")}
 
 
-def side(define, names, values, saddle, toward, duration):
-    """The side on which the unstable manifold of a saddle goes past it, by DOP853: another one beyond a homoclinic orbit.
+def side(define, names, values, saddle, path, duration):
+    """The side on which the manifold of dimension one of a saddle goes past it, by DOP853.
+
+    It is another one beyond a homoclinic orbit. Stable manifolds are followed back in time.
 
     Args:
         define: the flow.
         names: of both parameters.
         values: of both.
         saddle: nearly.
-        toward: a state that the manifold comes to.
+        path: of the orbit, (k, d).
         duration: time, at most.
     """
     rhs = define(**dict(zip(names, map(float, values), strict=True)))["rhs"]
@@ -110,13 +112,14 @@ def side(define, names, values, saddle, toward, duration):
     for _ in range(4):
         state = state - np.linalg.solve(np.asarray(jacobian(state)), np.asarray(field(state)))
     slopes = np.asarray(jacobian(state))
-    rates, vectors = np.linalg.eig(slopes)
+    ahead = 1.0 if np.sum(np.linalg.eigvals(slopes).real > 0.0) == 1 else -1.0
+    rates, vectors = np.linalg.eig(ahead * slopes)
     vector = vectors[:, np.argmax(rates.real)].real
     largest = np.argmax(np.abs(vector))
-    # The component that is the largest is to grow, of a manifold that goes toward the state.
-    turn = np.sign(vector[largest]) * np.sign(vector @ (toward - state))
+    # The component that is the largest is to grow, of a manifold that goes along the path.
+    turn = np.sign(vector[largest]) * np.sign(vector @ (path[10 if ahead > 0.0 else -11] - state))
 
     def moved(y, t):
-        return turn * np.array(rhs((state + turn * np.asarray(y)).tolist(), t))
+        return turn * ahead * np.array(rhs((state + turn * np.asarray(y)).tolist(), t))
 
-    return connections.side(moved, slopes, duration)
+    return connections.side(moved, ahead * slopes, duration)

@@ -235,9 +235,10 @@ def _locate(stretch: Stretch, k: int, test: tuple[int, int], ends: tuple[float, 
     uncertain = abs(further) * _remainder(test, orbit, longer)
     if slope != 0.0 and not jumps:
         uncertain += _rounding(test, orbit) / abs(slope)
-    return SpecialConnection(
-        _kind_of(test, point, jumps), exact.values + further * change, error + np.abs(uncertain * change), exact
-    )
+    error = error + np.abs(uncertain * change)
+    if np.any(error > problem.widths):  # a change of sign that rounding makes, as of an adjoint solution that grows
+        return None
+    return SpecialConnection(_kind_of(test, point, jumps), exact.values + further * change, error, exact)
 
 
 def _remainder(test: tuple[int, int], orbit: _Orbit, longer: float) -> float:
