@@ -7,13 +7,13 @@ import pytest
 
 from jaxnh.orbits.bifurcations.connection_points import POINTS
 from jaxnh.orbits.continuation.paths import ENDS
-from tests.analyses.test_homoclinic import points, result_of
 from tests.flows import bogdanov_takens
+from tests.helpers.connection_results import points, result_of
 
 WARNED = "no curve begins at the Bogdanov–Takens point at p = 0, q = 0: a coefficient of its normal form is zero"
 
 
-def begun(data):
+def curves_with_points(data):
     """Numbers of the curves that begin at Bogdanov–Takens points, which stand among their points of codimension two."""
     vanish = ENDS.index("bogdanov_takens")
     curves = [k for k in range(data.sizes["curve"]) if vanish in (data["begins"].values[k], data["ends"].values[k])]
@@ -38,7 +38,7 @@ def test_the_normal_form(tmp_path):
     sweep = "{p: {start: -0.2, stop: 0.1, count: 3}, q: {values: [-0.5, 0.5]}}"
     groups = result_of(tmp_path, bogdanov_takens.normal_form, "{w0: 0.1}", sweep, options)
     data = groups["homoclinic"].to_dataset()
-    assert begun(data) == [0]
+    assert curves_with_points(data) == [0]
     value, error = point_of(data, ("p", "q"))
     assert np.all(np.abs(value) <= error)
     values, errors = points(data, 0, ("p", "q"))
@@ -94,7 +94,7 @@ def test_published_flows(tmp_path, define, initial, sweep, box, at):
     names = tuple(name.split(":")[0].strip(" {") for name in sweep.split("}, "))
     groups = result_of(tmp_path, define, initial, sweep, options)
     data, orbits = groups["homoclinic"].to_dataset(), groups["connecting_orbits"].to_dataset()
-    assert begun(data) == [0]
+    assert curves_with_points(data) == [0]
     value, error = point_of(data, names)
     assert value == pytest.approx(np.array(at), abs=1e-11)
     assert error.max() < 1e-11
