@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from unittest import mock
 
 import numpy as np
@@ -12,41 +11,11 @@ import jaxnh
 from jaxnh.analyses.continuation import homoclinic
 from jaxnh.analyses.continuation.homoclinic import KINDS
 from jaxnh.analyses.registry import ANALYSES
-from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.bifurcations.connection_points import POINTS, TYPES
 from tests.flows import connections
 from tests.flows.lorenz import lorenz
-from tests.helpers import contract
-from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
-
-STEPS = "accuracy: {solver: tsit5, steps: 20}\n"
-
-
-def experiment(folder, flow, initial, sweep, options, section=""):
-    path = folder / "flow.py"
-    path.write_text(inspect.getsource(flow).replace(f"def {flow.__name__}", "def system"))
-    config = f"system: {{file: {path}}}\ninitial: {initial}\nsweep: {sweep}\n{section}{STEPS}"
-    return Experiment.from_text(config + f"analyses: {{homoclinic: {options}}}\n")
-
-
-def result_of(*arguments):
-    asked = experiment(*arguments)
-    session = session_of(asked)
-    session._lanes = lanes_with_kept_programs(None, session._lanes.devices[:1], 32)
-    groups = session.tree()
-    units = asked.flow().readout.labels.units
-    for name, group in groups.children.items():
-        contract.check(name, group.to_dataset(), [key for key, unit in units.items() if not unit])
-    return groups
-
-
-def points(data, curve, names):
-    """Values and errors of a curve, (points, 2) each."""
-    one = data.isel(curve=curve)
-    values, errors = (np.stack([one[name + rest].to_numpy() for name in names], axis=1) for rest in ("", "_error"))
-    known = np.isfinite(values).all(axis=1)
-    return values[known], errors[known]
+from tests.helpers.connection_results import experiment, points, result_of
 
 
 def misses_at(values, errors, k, exact):

@@ -70,7 +70,7 @@ def test_lorenz_over_two_parameters():
         root = np.sqrt((sigma - 1) ** 2 + 4 * sigma * rho)
         exact = np.sort([(-sigma - 1 - root) / 2, -8 / 3, (-sigma - 1 + root) / 2])[::-1]
         assert np.allclose(finer.departure.eigenvalues, exact, rtol=1e-9)
-    assert not special_connections(problem, curve)
+    assert not special_connections(curve)
     assert not any(leading(orbit.departure).shilnikov for orbit in points_of(curve))
 
 
@@ -116,7 +116,7 @@ def test_the_pulse_beside_the_hamiltonian_one():
     slopes = (a + 6 / 7 * b)[np.abs(b) > 1e-6] / b[np.abs(b) > 1e-6] ** 3
     assert np.ptp(slopes) < 0.1 * np.abs(slopes).max()  # one coefficient of b³, but for the next order
     assert abs(a[0] + a[-1]) < 1e-9
-    [(_, special)] = special_connections(problem, curve)
+    [(_, special)] = special_connections(curve)
     assert POINTS[special.kind] == "neutral_saddle"
     assert np.all(np.abs(special.values) <= special.error)
     assert special.error.max() < 1e-9
@@ -165,7 +165,7 @@ def test_flips_in_closed_form(name, drive, exact, sign):
     begun = connection_near(problem, guess_through(times, states, (0.05, 1.5)), np.zeros(3), np.zeros(3))
     curve = follow_connections(problem, begun, np.array([-0.5, 0.5]), np.array([0.5, 3.0]), StepControl(0.1, 40))
     assert curve.ends == (RANGE, RANGE)
-    [(_, point)] = special_connections(problem, curve)
+    [(_, point)] = special_connections(curve)
     assert POINTS[point.kind] == f"{name}_{'stable' if sign > 0 else 'unstable'}"
     assert np.all(np.abs(point.values - [0.0, exact / (1 - 0.4**2)]) <= point.error)
     assert point.error.max() < 1e-6
@@ -189,7 +189,7 @@ def test_errors_cover_closed_forms(count):
         curve = follow_connections(problem, begun, low, high, StepControl(0.2, 40))
         finer = [refined(problem, point) for point in points_of(curve)]
         rows += [(abs(one.orbit.values[0]), one.error[0]) for one in finer]
-        [(_, point)] = special_connections(problem, curve)
+        [(_, point)] = special_connections(curve)
         assert POINTS[point.kind] == "neutral_saddle"
         exact = 0.0 if own["c"] < -b else -b - own["c"]
         special += [*zip(np.abs(point.values - [0.0, exact]), point.error, strict=True)]

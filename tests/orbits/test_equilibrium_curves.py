@@ -25,26 +25,12 @@ from jaxnh.orbits.continuation.kinds import FOLD, HOPF, KINDS
 from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, ENDS, MOST_POINTS, RANGE, StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
+from tests.flows.bogdanov_takens import lorenz84
 from tests.helpers.batches import batch_of
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")
 
 SHAPE = {"alpha": 0.25, "g": 0.25, "gamma": 0.987, "delta": 1.04}
-
-
-def lorenz84(f=2.0, t=0.04, alpha=0.25, g=0.25, gamma=0.987, delta=1.04):
-    """The extended Lorenz-84 model, β = 1."""
-
-    def rhs(state, time):
-        x, y, z, u = state
-        return (
-            -y * y - z * z - alpha * x + alpha * f - gamma * u * u,
-            x * y - x * z - y + g,
-            x * y + x * z - z,
-            -delta * u + gamma * u * x + t,
-        )
-
-    return {"rhs": rhs, "coordinates": ("x", "y", "z", "u")}
 
 
 class Problem(NamedTuple):

@@ -1,7 +1,8 @@
 """Curves of homoclinic and heteroclinic orbits over two parameters, with the saddles' eigenvalues along them.
 
-At some values of the second axis manifolds of saddles are followed along the first (`connection_seeds`); from each
-orbit that Newton confirms its curve goes to both ends (`orbits.collocation.connections`).
+At some values of the second axis manifolds of saddles are followed along the first (`connection_seeds`); others come
+from cycles of large period and from Bogdanov–Takens points. From each orbit that Newton confirms its curve goes to both
+ends (`orbits.collocation.connections`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,11 @@ from jaxnh.analyses.base import (
     variable,
 )
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, rate_attrs
+from jaxnh.analyses.continuation.bogdanov_takens_connections import (
+    BogdanovTakensStart,
+    bogdanov_takens_starts,
+    path_size,
+)
 from jaxnh.analyses.continuation.connection_seeds import ConnectionSeed, Shooting, connection_seeds, saddle_chains
 from jaxnh.analyses.continuation.cycle_connections import seeds_from_cycles
 from jaxnh.analyses.continuation.equilibria import equilibria_in_a_box
@@ -37,12 +43,25 @@ from jaxnh.analyses.periodic.flow_cycles import flow_problem, no_collocation
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.analyses.table_arrays import longest, padded, real_and_imaginary
-from jaxnh.orbits.bifurcations.connection_points import POINTS, TYPES, SpecialConnection, leading, special_connections
+from jaxnh.orbits.bifurcations.connection_points import (
+    BOGDANOV_TAKENS,
+    POINTS,
+    TYPES,
+    SpecialConnection,
+    leading,
+    special_connections,
+)
 from jaxnh.orbits.collocation.connection_joins import is_on_curve, join_connections
 from jaxnh.orbits.collocation.connection_meshes import Connection, refined
-from jaxnh.orbits.collocation.connections import ConnectionCurve, connection_near, follow_connections
+from jaxnh.orbits.collocation.connections import (
+    ConnectionCurve,
+    VanishingPoint,
+    connection_near,
+    follow_connections,
+)
 from jaxnh.orbits.collocation.equations import Problem
 from jaxnh.orbits.collocation.paths import values_at
+from jaxnh.orbits.continuation import paths
 from jaxnh.orbits.continuation.paths import ENDS
 
 KINDS = ("homoclinic", "heteroclinic")
@@ -97,8 +116,14 @@ def whole(
     (first, second), [(_, row)] = sweep.axes, sweep.rows
     low, high = (np.array([float(end(axis.values)) for axis in sweep.axes]) for end in (np.min, np.max))
     names, curves = (first.name, second.name), list[tuple[Problem, ConnectionCurve]]()
-    for value in values_searched(second, options.n_values).tolist():
-        on_section = lanes_along(row, first, second, value)
+    values = values_searched(second, options.n_values).tolist()
+    batches = [lanes_along(row, first, second, value) for value in values]
+    starts = bogdanov_takens_starts(batches, lanes, options, names, (low, high)) if options.bogdanov_takens else []
+    plan = _Plan(options, (low, high), [start.vanishing() for start in starts], curves)
+    with lanes.stage(f"homoclinic: curves from {len(starts)} Bogdanov–Takens points", 0):
+        for start in starts:
+            plan.follow(start.problem, start.orbit)
+    for value, on_section in zip(values, batches, strict=True):
         batch = on_section.without_section()
         with lanes.stage(f"homoclinic: saddles and their manifolds at {second.name} = {value:g}", 0):
             seeds = _seeds(options, batch, lanes, names, high - low, value)
@@ -106,11 +131,38 @@ def whole(
             seeds += seeds_from_cycles(on_section, lanes, options, names, (low, high), value)
         with lanes.stage(f"homoclinic: curves from {len(seeds)} orbits at {second.name} = {value:g}", 0):
             for seed in seeds:
-                _follow(options, flow_problem(batch, lanes, _size(seed), names, high - low), seed, (low, high), curves)
+                problem = flow_problem(batch, lanes, path_size(seed.guess.path.ends[0]), names, high - low)
+                plan.follow(problem, connection_near(problem, seed.guess, seed.departure, seed.arrival))
     with lanes.stage(f"homoclinic: errors of {len(curves)}", 0):
-        followed = [_with_errors(problem, curve) for problem, curve in curves]
-    row = row.without_section()
-    return {"homoclinic": _dataset(row, sweep.axes, followed), "connecting_orbits": _orbits(row, followed)}
+        followed = [_with_errors(curve, starts) for _, curve in curves]
+    row, data = row.without_section(), _dataset(row.without_section(), sweep.axes, followed)
+    warnings = [*_no_curve(names, followed), *_no_start(options, names, values, starts)]
+    data.attrs |= {"warnings": "\n".join(warnings)} if warnings else {}
+    return {"homoclinic": data, "connecting_orbits": _orbits(row, followed)}
+
+
+def _no_curve(names: tuple[str, str], curves: Sequence[FollowedConnections]) -> list[str]:
+    """Say that there is no curve."""
+    return [] if curves else [f"homoclinic: there is no orbit to follow over {' and '.join(names)}"]
+
+
+def _no_start(
+    options: HomoclinicOptions, names: tuple[str, str], values: list[float], starts: Sequence[BogdanovTakensStart]
+) -> list[str]:
+    """Say where no curve has been begun at a Bogdanov–Takens point, and what was tried."""
+    if options.bogdanov_takens and not starts:
+        return [
+            f"homoclinic: there is no Bogdanov–Takens point to begin at over {' and '.join(names)}; looked along "
+            f"curves of folds and Hopf points of equilibria from {options.n_starts} starts at {len(values)} "
+            f"value{'s' * (len(values) > 1)} of {names[1]}"
+        ]
+    lost = [start for start in starts if start.orbit is None]
+    places = [np.where(np.abs(start.values) <= start.error, 0.0, start.values).tolist() for start in lost]
+    return [
+        f"homoclinic: no curve begins at the Bogdanov–Takens point at {names[0]} = {place[0]:.9g}, {names[1]} = "
+        f"{place[1]:.9g}: {start.tried}"
+        for start, place in zip(lost, places, strict=True)
+    ]
 
 
 def _seeds(
@@ -130,48 +182,62 @@ def _seeds(
     return list(connection_seeds(shooting, values, chains))
 
 
-def _size(seed: ConnectionSeed) -> Float[np.ndarray, " d"]:
-    """Half the extent of a path in each coordinate."""
-    size = 0.5 * np.ptp(seed.guess.path.ends[0], axis=0)
-    return np.where(size > 1e-6 * size.max(), size, size.max())
+class _Plan(NamedTuple):
+    """Curves so far, each with the problem in sizes of its first orbit, and how more are followed.
+
+    Attributes:
+        options: of the analysis.
+        ends: of the ranges of both parameters, the lower ones first.
+        vanishing: points at which curves end.
+        curves: those that are known.
+    """
+
+    options: HomoclinicOptions
+    ends: tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]
+    vanishing: Sequence[VanishingPoint]
+    curves: list[tuple[Problem, ConnectionCurve]]
+
+    def follow(self, problem: Problem | None, start: Connection | None) -> None:
+        """Add the curve of an orbit, unless there is none or its curve is known; cut ones are joined to it."""
+        if problem is None or start is None:
+            return
+        if np.any(start.values < self.ends[0]) or np.any(start.values > self.ends[1]):
+            return
+        if any(is_on_curve(problem, curve, start) for _, curve in self.curves):
+            return
+        whole = follow_connections(problem, start, *self.ends, step_control(self.options), self.vanishing)
+        apart = list[tuple[Problem, ConnectionCurve]]()
+        for own, other in self.curves:
+            joined = join_connections(problem, other, whole)
+            whole, more = (whole, [(own, other)]) if joined is None else (joined, [])
+            apart += more
+        self.curves[:] = [*apart, (problem, whole)]
 
 
-def _follow(
-    options: HomoclinicOptions,
-    problem: Problem,
-    seed: ConnectionSeed,
-    ends: tuple[np.ndarray, np.ndarray],
-    curves: list[tuple[Problem, ConnectionCurve]],
-) -> None:
-    """Add the curve of an orbit, unless Newton does not confirm it or its curve is known; cut ones are joined to it."""
-    start = connection_near(problem, seed.guess, seed.departure, seed.arrival)
-    if start is None or np.any(start.values < ends[0]) or np.any(start.values > ends[1]):
-        return
-    if any(is_on_curve(problem, curve, start) for _, curve in curves):
-        return
-    whole, apart = (
-        follow_connections(problem, start, *ends, step_control(options)),
-        list[tuple[Problem, ConnectionCurve]](),
-    )
-    for own, other in curves:
-        joined = join_connections(problem, other, whole)
-        whole, more = (whole, [(own, other)]) if joined is None else (joined, [])
-        apart += more
-    curves[:] = [*apart, (problem, whole)]
-
-
-def _with_errors(problem: Problem, curve: ConnectionCurve) -> FollowedConnections:
+def _with_errors(curve: ConnectionCurve, starts: Sequence[BogdanovTakensStart]) -> FollowedConnections:
     """The orbits of a curve on finer meshes, with the errors of their parameters; NaN where Newton confirms none."""
     # Each stretch begins with the orbit that the one before ends with.
-    coarse = [point for k, stretch in enumerate(curve.stretches) for point in stretch.points[min(k, 1) :]]
+    coarse = [
+        (stretch.problem, point) for k, stretch in enumerate(curve.stretches) for point in stretch.points[min(k, 1) :]
+    ]
     points, errors = list[Connection](), list[np.ndarray]()
-    for point in coarse:
+    for problem, point in coarse:
         finer = refined(problem, point)
         points.append(point if finer is None else finer.orbit)
         errors.append(np.full(2, np.nan) if finer is None else finer.error)
-    homoclinic = _kind(coarse[0]) == 0 if coarse else False
-    special = [member for _, member in special_connections(problem, curve)] if homoclinic else []
-    return FollowedConnections(points, np.reshape(errors, (-1, 2)), curve.ends, special)
+    homoclinic = _kind(points[0]) == 0 if points else False
+    special = [member for _, member in special_connections(curve)] if homoclinic else []
+    first, last = (
+        [_vanished(starts, points[k])] if points and curve.ends[k] == paths.BOGDANOV_TAKENS else [] for k in (0, -1)
+    )
+    return FollowedConnections(points, np.reshape(errors, (-1, 2)), curve.ends, [*first, *special, *last])
+
+
+def _vanished(starts: Sequence[BogdanovTakensStart], point: Connection) -> SpecialConnection:
+    """The Bogdanov–Takens point that a curve ends at with an orbit."""
+    states = point.solution.path.ends[0]
+    nearest = min(starts, key=lambda start: float(np.abs((states - start.state) / np.ptp(states, axis=0)).max()))
+    return SpecialConnection(BOGDANOV_TAKENS, nearest.values, nearest.error, point)
 
 
 def _kind(point: Connection) -> int:
@@ -220,10 +286,7 @@ def _dataset(batch: LaneBatch, axes: Sequence[Axis], curves: Sequence[FollowedCo
         **_special_columns(axes, curves),
     }
     names = " ".join(axis.name for axis in axes)
-    attrs = {"over": names}
-    if not curves:
-        attrs["warnings"] = f"homoclinic: there is no orbit to follow over {names.replace(' ', ' and ')}"
-    return xr.Dataset(filled, attrs=attrs)
+    return xr.Dataset(filled, attrs={"over": names})
 
 
 def _orbits(batch: LaneBatch, curves: Sequence[FollowedConnections]) -> xr.Dataset:

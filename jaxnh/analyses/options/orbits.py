@@ -225,6 +225,10 @@ class HomoclinicOptions(Continuation):
         description="Largest number of returns to the section of cycles that are followed over the first axis to where "
         "their time has no end; by default none are",
     )
+    bogdanov_takens: Extra = Field(
+        default=None,
+        description="Whether the curves that begin at Bogdanov–Takens points of equilibria are followed as well",
+    )
     max_steps: int = Field(default=200, ge=2, description="Points of a curve to either side of its first, at most")
 
     @model_validator(mode="after")

@@ -25,14 +25,18 @@ POINTS = (
     "neutral_saddle", "neutral_saddle_focus", "neutral_bi_focus", "double_real_stable", "double_real_unstable",
     "three_leading_stable", "three_leading_unstable", "neutrally_divergent_stable", "neutrally_divergent_unstable",
     "orbit_flip_stable", "orbit_flip_unstable", "inclination_flip_stable", "inclination_flip_unstable",
+    "bogdanov_takens",
 )  # fmt: skip
 """Points of codimension two by number.
 
 The saddle quantity is zero with real leading eigenvalues, and with complex ones, where Shilnikov's condition changes;
 two leading eigenvalues of one side meet, or a pair and a real one have the same real part; the real leading eigenvalue
 and the pair of the other side have no sum; the orbit goes along another eigenvector than the leading one; the adjoint
-solution does, so that the stable or unstable manifold comes back along itself with another orientation beyond.
+solution does, so that the stable or unstable manifold comes back along itself with another orientation beyond; orbits
+vanish in an equilibrium.
 """
+
+BOGDANOV_TAKENS = len(POINTS) - 1
 
 TYPES = ("saddle", "saddle_focus", "bi_focus")
 """Saddles by how many of both leading eigenvalues are complex."""
@@ -113,17 +117,17 @@ class _Orbit(NamedTuple):
     normal: Float[np.ndarray, " 2"]
 
 
-def special_connections(problem: Problem, curve: ConnectionCurve) -> list[tuple[int, SpecialConnection]]:
+def special_connections(curve: ConnectionCurve) -> list[tuple[int, SpecialConnection]]:
     """Points of codimension two on a curve of homoclinic orbits, each with the number of its stretch."""
     special = list[tuple[int, SpecialConnection]]()
     for number, stretch in enumerate(curve.stretches):
-        orbits = [_orbit(problem, point) for point in stretch.points]
+        orbits = [_orbit(stretch.problem, point) for point in stretch.points]
         for k, (first, second) in enumerate(itertools.pairwise(orbits)):
             for test in _TESTS:
                 ends = _test(test, first, first), _test(test, second, first)
                 least = _NOISE if test[0] in (_ORBIT, _INCLINATION) else 0.0
                 if np.isfinite(ends).all() and ends[0] * ends[1] < 0.0 and min(map(abs, ends)) > least:
-                    point = _locate(problem, stretch, k, test, ends)
+                    point = _locate(stretch, k, test, ends)
                     if point is not None:
                         special.append((number, point))
     return special
@@ -202,10 +206,9 @@ def _kind_of(test: tuple[int, int], point: Connection, jumps: bool) -> int:
 # ---- location
 
 
-def _locate(
-    problem: Problem, stretch: Stretch, k: int, test: tuple[int, int], ends: tuple[float, float]
-) -> SpecialConnection | None:
+def _locate(stretch: Stretch, k: int, test: tuple[int, int], ends: tuple[float, float]) -> SpecialConnection | None:
     """The zero of a test function between two points of a stretch, on the mesh and on a finer one."""
+    problem = stretch.problem
     reference = _orbit(problem, stretch.points[k])
 
     def at(share: float) -> tuple[float, Connection | None]:
@@ -232,9 +235,10 @@ def _locate(
     uncertain = abs(further) * _remainder(test, orbit, longer)
     if slope != 0.0 and not jumps:
         uncertain += _rounding(test, orbit) / abs(slope)
-    return SpecialConnection(
-        _kind_of(test, point, jumps), exact.values + further * change, error + np.abs(uncertain * change), exact
-    )
+    error = error + np.abs(uncertain * change)
+    if np.any(error > problem.widths):  # a change of sign that rounding makes, as of an adjoint solution that grows
+        return None
+    return SpecialConnection(_kind_of(test, point, jumps), exact.values + further * change, error, exact)
 
 
 def _remainder(test: tuple[int, int], orbit: _Orbit, longer: float) -> float:

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
+from jaxnh.orbits.bifurcations.bogdanov_takens import jordan_chain, quadratic_coefficients
 from jaxnh.orbits.bifurcations.centre_manifold import (
     PAIR,
     CentreManifold,
     LinearisedEquilibria,
     Order,
     centre_manifold,
-    multilinear,
 )
 from jaxnh.orbits.bifurcations.codimension_two import BOGDANOV_TAKENS, CUSP, DOUBLE_HOPF, GENERALISED_HOPF, ZERO_HOPF
 from jaxnh.orbits.bifurcations.equilibrium_points import EquilibriumPoint
@@ -115,20 +115,7 @@ def _coefficients(kind: int, manifold: CentreManifold) -> list[float]:
 
 
 def _bogdanov_takens(plane: FieldPlane, at: LinearisedEquilibria) -> tuple[float, float]:
-    """a and b, by the chain A q₁ = q₀ and its left counterpart p₀ A = p₁ (Kuznetsov 2004, 8.4)."""
-    [matrix] = at.matrix
-    left, _, right = np.linalg.svd(matrix)
-    q0, p1 = right[-1], left[:, -1]
-    bordered = np.block([[matrix, p1[:, None]], [q0[None], np.zeros((1, 1))]])
-    q1 = np.linalg.solve(bordered, np.append(q0, 0.0))[:-1]
-    p1 = p1 / (p1 @ q1)
-    p0 = np.linalg.solve(bordered.T, np.append(p1, 0.0))[:-1]
-    p0 = p0 - (p0 @ q1) * p1
-
-    def form(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        return np.real(multilinear(plane, at, [first[None], second[None]])[0])
-
-    a = 0.5 * p1 @ form(q0, q0)
-    b = p0 @ form(q0, q0) + p1 @ form(q0, q1)
+    """a and b (`bogdanov_takens`)."""
+    a, b = quadratic_coefficients(plane, at, jordan_chain(at.matrix[0]))
     sign = -1.0 if a < 0.0 else 1.0
-    return float(sign * a), float(sign * b)
+    return sign * a, sign * b

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.orbits.collocation.connection_meshes import Connection
+from jaxnh.orbits.collocation.connection_meshes import Connection, with_own_saddles
 from jaxnh.orbits.collocation.connections import ConnectionCurve, Stretch, reversed_stretch
 from jaxnh.orbits.collocation.equations import Problem
 
@@ -67,7 +67,8 @@ def _from_place(curve: ConnectionCurve, place: _Place, orbit: Connection) -> lis
     def between(number: int, rest: float) -> Connection | None:
         return cut.between(point + number, rest if number else share + rest * (1.0 - share))
 
-    return [Stretch([orbit, *cut.points[point + 1 :]], between), *curve.stretches[place.stretch + 1 :]]
+    first = with_own_saddles(cut.problem, orbit)
+    return [Stretch(cut.problem, [first, *cut.points[point + 1 :]], between), *curve.stretches[place.stretch + 1 :]]
 
 
 def _place(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> _Place | None:

@@ -2,19 +2,25 @@
 
 The unknowns are the path on a mesh and both parameters; the equations are those of collocation with projection boundary
 conditions at the saddles (`homoclinic`), for a duration that is held, and an integral phase condition. A curve is
-followed in stretches of a few points: after each the rests at the ends and the mesh are adapted to the orbit.
+followed in stretches of a few points: after each the rests at the ends, the mesh and sizes are adapted to the orbit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnh.exceptions import InputError
-from jaxnh.orbits.collocation.connection_meshes import MOST_INTERVALS, Connection, adapted, with_own_saddles
+from jaxnh.orbits.collocation.connection_meshes import (
+    MOST_INTERVALS,
+    Connection,
+    across_curve,
+    adapted,
+    with_own_saddles,
+)
 from jaxnh.orbits.collocation.equations import (
     BoundarySolution,
     NewtonSystem,
@@ -29,26 +35,37 @@ from jaxnh.orbits.collocation.equations import (
     phase_condition,
 )
 from jaxnh.orbits.collocation.homoclinic import hold_duration, projections, saddle_at
-from jaxnh.orbits.collocation.newton import on_adapted_mesh
+from jaxnh.orbits.collocation.newton import on_adapted_mesh, remeshed
 from jaxnh.orbits.collocation.paths import PiecewisePath
 from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, Solution
-from jaxnh.orbits.continuation.paths import MOST_POINTS, NO_CONVERGENCE, NO_RETURN, NO_SADDLE, Path, StepControl
+from jaxnh.orbits.continuation.paths import (
+    BOGDANOV_TAKENS,
+    MOST_POINTS,
+    NO_CONVERGENCE,
+    NO_RETURN,
+    NO_SADDLE,
+    Path,
+    StepControl,
+)
 
 _STRETCH = 12  # points between meshes
 _INTERVALS = 60  # of a first mesh
 _FIRST = 0.1  # of the largest step
+_GROWN = 2.0  # half extents in sizes: of larger orbits sizes are chosen anew
 
 
 class Stretch(NamedTuple):
     """A part of a curve on one mesh.
 
     Attributes:
+        problem: the field, in sizes of the orbits here.
         points: orbits, in order.
         between: orbits of the curve between two points: (number of the first, share of the way to the next), None
             where Newton comes to none.
     """
 
+    problem: Problem
     points: list[Connection]
     between: Callable[[int, float], Connection | None]
 
@@ -65,14 +82,31 @@ class ConnectionCurve(NamedTuple):
     ends: tuple[int, int]
 
 
+class VanishingPoint(NamedTuple):
+    """A Bogdanov–Takens point, in which homoclinic orbits vanish.
+
+    Attributes:
+        state: the equilibrium.
+        radius: in units of the coordinates: curves end with an orbit all of whose states are as near.
+    """
+
+    state: Float[np.ndarray, " d"]
+    radius: Float[np.ndarray, " d"]
+
+
 class ConnectionEquations(EquationsOfPaths):
     """Connecting orbits near one, on its mesh and of its duration, as `core.CurveEquations`, in sizes and widths."""
 
     def __init__(
-        self, problem: Problem, near: Connection, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]
+        self,
+        problem: Problem,
+        near: Connection,
+        low: Float[np.ndarray, " 2"],
+        high: Float[np.ndarray, " 2"],
+        vanishing: Sequence[VanishingPoint] = (),
     ) -> None:
         path = near.solution.path
-        self._problem, self._near = problem, near
+        self._problem, self._near, self._vanishing = problem, near, vanishing
         self._boundary = projections(problem, near.departure, near.arrival)
         # Lengths are means over the path; ends of intervals follow from what is inside.
         inside = np.repeat(1.0 / np.sqrt(path.measure.ravel()), path.ends.shape[2])
@@ -112,8 +146,14 @@ class ConnectionEquations(EquationsOfPaths):
         return (z,)
 
     def endings(self, now: Solution, taken: Solution, /) -> tuple[Mapping[int, np.ndarray], Bool[np.ndarray, " lanes"]]:
-        """Connections have no endings of their own."""
-        return {}, np.zeros(len(taken.z), bool)
+        """Orbits that are about to vanish."""
+        vanish = np.array([self._vanishes(z) for z in taken.z], bool)
+        return {BOGDANOV_TAKENS: vanish}, np.zeros(len(taken.z), bool)
+
+    def _vanishes(self, z: Float[np.ndarray, " N"]) -> bool:
+        states = self.orbit(z).path.ends[0]
+        with np.errstate(invalid="ignore"):
+            return any(bool(np.all(np.abs(states - each.state) <= each.radius)) for each in self._vanishing)
 
     def _linear(self, orbit: BoundarySolution) -> NewtonSystem:
         line = linearise(self._problem, orbit, self._boundary(orbit, np.zeros(1, int)))
@@ -177,11 +217,40 @@ def connection_near(
         return None
 
 
+def connection_across(
+    problem: Problem,
+    guess: BoundarySolution,
+    departure: Float[np.ndarray, " d"],
+    arrival: Float[np.ndarray, " d"],
+) -> Connection | None:
+    """The connecting orbit near a path that is near in both parameters, across the curve; as `connection_near`."""
+    try:
+        saddles = saddle_at(problem, departure, guess.values[0]), saddle_at(problem, arrival, guess.values[0])
+        guess = remeshed(problem, guess, _INTERVALS, cyclic=False)
+        point = across_curve(problem, Connection(guess, saddles[0], saddles[1]), guess)
+        return None if point is None else adapted(problem, point)
+    except (InputError, np.linalg.LinAlgError):
+        return None
+
+
 def follow_connections(
-    problem: Problem, start: Connection, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"], steps: StepControl
+    problem: Problem,
+    start: Connection,
+    low: Float[np.ndarray, " 2"],
+    high: Float[np.ndarray, " 2"],
+    steps: StepControl,
+    vanishing: Sequence[VanishingPoint] = (),
 ) -> ConnectionCurve:
-    """The curve through an orbit, from one end to the other, between the ends of both parameters' ranges."""
-    sides = [_follow(problem, start, sign, low, high, steps) for sign in (1.0, -1.0)]
+    """The curve through an orbit, from one end to the other, between the ends of both parameters' ranges.
+
+    Args:
+        problem: the field, with two parameters.
+        start: the orbit.
+        low, high: ends of the ranges.
+        steps: how the curve is followed.
+        vanishing: Bogdanov–Takens points, which end it.
+    """
+    sides = [_follow(problem, start, sign, low, high, steps, vanishing) for sign in (1.0, -1.0)]
     (ahead, last), (back, first) = sides
     return ConnectionCurve([*(reversed_stretch(stretch) for stretch in back[::-1]), *ahead], (first, last))
 
@@ -190,12 +259,18 @@ def follow_connections(
 
 
 def _follow(
-    problem: Problem, start: Connection, sign: float, low: np.ndarray, high: np.ndarray, steps: StepControl
+    problem: Problem,
+    start: Connection,
+    sign: float,
+    low: np.ndarray,
+    high: np.ndarray,
+    steps: StepControl,
+    vanishing: Sequence[VanishingPoint],
 ) -> tuple[list[Stretch], int]:
     """The curve from an orbit in one direction, stretch by stretch, and why it ends."""
     stretches, left, size, now, toward = list[Stretch](), steps.max_steps, steps.ds, start, None
     while left > 0:
-        equations = ConnectionEquations(problem, now, low, high)
+        equations = ConnectionEquations(problem, now, low, high, vanishing)
         first = core.correct(equations, equations.unknowns(now.solution), tolerance=core.FINE)
         if not first.converged[0]:
             return stretches, NO_CONVERGENCE
@@ -204,7 +279,7 @@ def _follow(
             first = first.backward()
         control = StepControl(steps.ds_max, min(_STRETCH, left), size or _FIRST * steps.ds_max, steps.ds_min)
         track, end = _track(equations, first, control)
-        stretch = _stretch(equations, track)
+        stretch = _stretch(problem, equations, track)
         stretches.append(stretch)
         left -= len(stretch.points) - 1
         if len(stretch.points) < 2:
@@ -218,8 +293,17 @@ def _follow(
             return stretches, NO_SADDLE if end == NO_RETURN else end
         gaps = core.norm(equations.unit, np.diff(track.z[-2:], axis=0))
         size, toward = float(np.clip(gaps[0], steps.ds_min, steps.ds_max)), track.way[-1, -2:]
-        now = adapted(problem, stretch.points[-1])
+        problem, now = _in_own_sizes(problem, adapted(problem, stretch.points[-1]))
     return stretches, MOST_POINTS
+
+
+def _in_own_sizes(problem: Problem, point: Connection) -> tuple[Problem, Connection]:
+    """An orbit in sizes that suit it, where it has outgrown those of the problem."""
+    half = 0.5 * np.ptp(point.solution.path.ends[0], axis=0)
+    if not np.any(half > _GROWN * problem.size):
+        return problem, point
+    problem = problem._replace(size=np.maximum(problem.size, half))
+    return problem, with_own_saddles(problem, point)
 
 
 def _track(equations: ConnectionEquations, first: Solution, control: StepControl) -> tuple[Solution, int]:
@@ -230,7 +314,7 @@ def _track(equations: ConnectionEquations, first: Solution, control: StepControl
     return path.track(0), int(path.end[0])
 
 
-def _stretch(equations: ConnectionEquations, track: Solution) -> Stretch:
+def _stretch(problem: Problem, equations: ConnectionEquations, track: Solution) -> Stretch:
     points = list[Connection]()
     for z, residual in zip(track.z, track.residual, strict=True):
         try:
@@ -249,7 +333,7 @@ def _stretch(equations: ConnectionEquations, track: Solution) -> Stretch:
         except InputError:
             return None
 
-    return Stretch(points, between)
+    return Stretch(problem, points, between)
 
 
 def reversed_stretch(stretch: Stretch) -> Stretch:
@@ -259,7 +343,7 @@ def reversed_stretch(stretch: Stretch) -> Stretch:
     def between(number: int, share: float) -> Connection | None:
         return stretch.between(last - 1 - number, 1.0 - share)
 
-    return Stretch(stretch.points[::-1], between)
+    return stretch._replace(points=stretch.points[::-1], between=between)
 
 
 def _of_first_parameter(problem: Problem, values: Float[np.ndarray, " 2"]) -> Problem:

@@ -28,8 +28,11 @@ from jaxnh.orbits.collocation.paths import PiecewisePath, gauss_rule, on_mesh
 
 _STEPS = 30
 _DIFFERENCE = 1e-5  # of the widths of parameters: cubes of it are rounding
+_MOVED = 1e-3  # sizes: saddles go no further in such a difference
 _DURATION = -1  # of what `fixed` counts
 _FLOOR = 1e-13
+_QUADRATIC = 1e-6  # step, in sizes, from where on steps fall fast, down to rounding
+_STALLED = 0.25  # of the step before: rounding, which is large beside a fold
 
 
 class SaddlePoint(NamedTuple):
@@ -40,6 +43,7 @@ class SaddlePoint(NamedTuple):
         eigenvalues: of the field's derivative, largest real part first, (d,).
         stable, unstable: left eigenspaces, their bases as rows.
         jacobian: the field's derivative, in sizes, (d, d).
+        drift: derivatives of the state over the parameters, in sizes and widths, (d, q).
     """
 
     state: Float[np.ndarray, " d"]
@@ -47,6 +51,7 @@ class SaddlePoint(NamedTuple):
     stable: Float[np.ndarray, "s d"]
     unstable: Float[np.ndarray, "u d"]
     jacobian: Float[np.ndarray, "d d"]
+    drift: Float[np.ndarray, "d q"]
 
 
 def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np.ndarray, " q"]) -> SaddlePoint:
@@ -61,29 +66,34 @@ def saddle_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np
 def saddles_at(problem: Problem, guess: Float[np.ndarray, " d"], values: Float[np.ndarray, "k q"]) -> list[SaddlePoint]:
     """The equilibrium near a state at several parameters, by Newton; raises as `saddle_at`."""
     size, zero = problem.size, np.zeros(len(values))
-    states = np.tile(np.asarray(guess, float), (len(values), 1))
+    states, last = np.tile(np.asarray(guess, float), (len(values), 1)), np.inf
     for _ in range(_STEPS):
         at = problem.field(states, zero, values)
         rate, jacobian = np.asarray(at.rate), np.asarray(at.jacobian)
         if not (np.isfinite(rate).all() and np.isfinite(jacobian).all()):
             raise InputError(f"the field is not finite near {guess.tolist()} at parameters {values[0].tolist()}")
         steps = -(np.linalg.pinv(jacobian) @ rate[..., None])[..., 0]
-        states = states + steps
-        if np.abs(steps / size).max() <= _FLOOR:
+        states, length = states + steps, float(np.abs(steps / size).max())
+        if length <= _FLOOR or (last <= _QUADRATIC and length >= _STALLED * last):
             break
+        last = length
     else:
         raise InputError(f"no equilibrium near {guess.tolist()} at parameters {values[0].tolist()}")
-    jacobians = np.asarray(problem.field(states, zero, values).jacobian) * (size / size[:, None])
-    return [_saddle(state, jacobian) for state, jacobian in zip(states, jacobians, strict=True)]
+    at = problem.field(states, zero, values)
+    jacobians = np.asarray(at.jacobian) * (size / size[:, None])
+    slopes = np.asarray(at.by_parameters) * (problem.widths / size[:, None])
+    return [_saddle(*each) for each in zip(states, jacobians, slopes, strict=True)]
 
 
-def _saddle(state: Float[np.ndarray, " d"], jacobian: Float[np.ndarray, "d d"]) -> SaddlePoint:
+def _saddle(
+    state: Float[np.ndarray, " d"], jacobian: Float[np.ndarray, "d d"], slopes: Float[np.ndarray, "d q"]
+) -> SaddlePoint:
     eigenvalues = np.linalg.eigvals(jacobian).astype(complex)
     eigenvalues = eigenvalues[np.lexsort((np.imag(eigenvalues), -np.real(eigenvalues)))]
     stable, unstable = (_eigenspace(jacobian.T, side).T for side in ("lhp", "rhp"))
     if not 0 < len(stable) < len(state) or len(stable) + len(unstable) != len(state):
         raise InputError(f"the equilibrium {state.tolist()} is no saddle, its eigenvalues are {eigenvalues.tolist()}")
-    return SaddlePoint(state, eigenvalues, stable, unstable, jacobian)
+    return SaddlePoint(state, eigenvalues, stable, unstable, jacobian, -np.linalg.solve(jacobian, slopes))
 
 
 def projections(problem: Problem, departure: SaddlePoint, arrival: SaddlePoint) -> BoundaryOf:
@@ -114,16 +124,22 @@ def _boundary_of_lane(
     ends: Float[np.ndarray, "2 d"],
     values: Float[np.ndarray, " q"],
 ) -> BoundaryConditions:
-    """The conditions at one solution; derivatives in parameters are central differences."""
-    d, shifts = len(problem.size), _DIFFERENCE * np.diag(problem.widths)
+    """The conditions at one solution; derivatives in parameters are central differences.
+
+    Beside a fold, where saddles go far, these are over less of the parameters.
+    """
+    d, q = len(problem.size), len(values)
+    moves = np.abs(np.concatenate([departure.drift, arrival.drift]))[:, :q].max(axis=0)
+    shares = np.minimum(_DIFFERENCE, _MOVED / np.maximum(moves, 1e-300))
+    shifts = np.diag(shares * problem.widths)
     many = np.concatenate([values[None], values + shifts, values - shifts])
     rows = _rows(problem, departure, ends[0], many, "stable"), _rows(problem, arrival, ends[1], many, "unstable")
     missing = np.concatenate([gaps for _, gaps in rows], axis=1)
     (start, _), (end, _) = rows
     first = np.concatenate([start[0], np.zeros((len(end[0]), d))])
     last = np.concatenate([np.zeros((len(start[0]), d)), end[0]])
-    extra, q = np.zeros((d, 1 + len(values))), len(values)
-    extra[:, 1:] = (missing[1 : 1 + q] - missing[1 + q :]).T / (2.0 * _DIFFERENCE)
+    extra = np.zeros((d, 1 + q))
+    extra[:, 1:] = (missing[1 : 1 + q] - missing[1 + q :]).T / (2.0 * shares)
     return BoundaryConditions(first, last, extra, -missing[0])
 
 

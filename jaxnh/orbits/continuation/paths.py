@@ -246,7 +246,7 @@ class Path:
         first, gone = now.z[:, -k:], z[:, -k:] - now.z[:, -k:]
         edge = np.where(gone > 0.0, equations.high, equations.low)
         beyond = (z[:, -k:] <= equations.low) | (z[:, -k:] >= equations.high)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             shares = np.where(beyond, np.clip((edge - first) / gone, 0.0, 1.0), np.inf)
         nearest, at_end = np.argmin(shares, axis=1), np.any(beyond, axis=1, keepdims=True)[:, 0]
         step = np.where(at_end, shares[lane, nearest] * step, step)
