@@ -52,21 +52,19 @@ class Sensitivities(NamedTuple):
 
     Attributes:
         names: of the parameters.
-        rates: (numbers, parameters), not a number where there is no derivative.
-        errors: of the rates, (numbers, parameters).
+        rates: (numbers, parameters), numbers in one or several dimensions; not a number where there is no derivative.
+        errors: of the rates, likewise.
         absent: why there is no derivative, by parameter.
     """
 
     names: tuple[str, ...]
-    rates: Float[np.ndarray, "numbers parameters"]
-    errors: Float[np.ndarray, "numbers parameters"]
+    rates: Float[np.ndarray, "*numbers parameters"]
+    errors: Float[np.ndarray, "*numbers parameters"]
     absent: dict[str, str]
 
-    def padded(self, count: int) -> Sensitivities:
-        """Return the derivatives of so many numbers, not a number of those that are missing."""
-        room = [(0, count - len(self.rates)), (0, 0)]
-        rates, errors = (np.pad(table, room, constant_values=np.nan) for table in (self.rates, self.errors))
-        return self._replace(rates=rates, errors=errors)
+    def row(self, k: int) -> Sensitivities:
+        """Return the derivatives of the numbers at one place of the first dimension."""
+        return self._replace(rates=self.rates[k], errors=self.errors[k])
 
     def with_rows(self, rows: Sequence[int], other: Sensitivities) -> Sensitivities:
         """Return the derivatives with those of some numbers from elsewhere, in the same parameters."""
