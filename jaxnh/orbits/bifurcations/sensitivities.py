@@ -103,11 +103,11 @@ def orbit_motions(
     moved, *errors = np.concatenate(draws, axis=1)
     matrices, error = difference(lambda s: np.asarray(shifted(name, s, at + s * moved).monodromy), scale)
     errors = np.array(errors)
-    error += _error_along(lambda u: np.asarray(shifted(name, 0.0, u).monodromy), at, errors)
+    error += error_along(lambda u: np.asarray(shifted(name, 0.0, u).monodromy), at, errors)
     times = ()
     if time:
         rate, time_error = difference(lambda s: np.asarray(time(name, s, at + s * moved)), scale)
-        times = rate, time_error + _error_along(lambda u: np.asarray(time(name, 0.0, u)), at, errors)
+        times = rate, time_error + error_along(lambda u: np.asarray(time(name, 0.0, u)), at, errors)
     whole = (*column, moved, np.max(np.abs(errors), axis=0), matrices, error, *times)
     return [OrbitMotion(*leaves) for leaves in zip(*(np.split(leaf, cuts) for leaf in whole), strict=True)]
 
@@ -145,6 +145,14 @@ def time_rates(motions: Sequence[OrbitMotion]) -> tuple[Float[np.ndarray, " k"],
     return np.array([np.sum(motion.time) for motion in motions]), np.array([np.sum(m.time_error) for m in motions])
 
 
+def point_rates(
+    motions: Sequence[OrbitMotion],
+) -> list[tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]]:
+    """Return the derivative of each coordinate of an orbit's first point in each of k parameters, and errors."""
+    rates, errors = (np.array([getattr(each, name)[0] for each in motions]).T for name in ("points", "points_error"))
+    return list(zip(rates, errors, strict=True))
+
+
 def modulus_rates(
     blocks: Float[np.ndarray, "n d d"], motions: Sequence[OrbitMotion], multiplier: complex
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -175,7 +183,7 @@ def _motions(
         return np.full((1 + _DRAWS, *column.shape), np.nan)
 
 
-def _error_along(
+def error_along(
     function: Callable[[Float[np.ndarray, "points d"]], np.ndarray],
     at: Float[np.ndarray, "points d"],
     errors: Float[np.ndarray, "draws points d"],
