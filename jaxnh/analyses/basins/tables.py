@@ -168,8 +168,8 @@ def attractors_group(
         values = output.data[:, :points] if every else output.data
         variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said, **output.attrs)
     for name, rates in derived.items():
-        tables = (table(values, np.nan) for values in (rates.rates, rates.errors))
-        whole, attrs = Sensitivities(rates.names, *tables, rates.absent), variables[name][2]
+        whole = rates._replace(rates=table(rates.rates, np.nan), errors=table(rates.errors, np.nan))
+        attrs = variables[name][2]
         words, units = str(attrs["long_name"]), str(attrs.get("units", UNSAID))
         variables |= sensitivity_variables(whole, batch, dims, name, words, units)
     if math.prod(sizes) > 1:

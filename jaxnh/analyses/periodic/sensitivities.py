@@ -264,7 +264,8 @@ def lane_sensitivities(
 
 def no_sensitivities(names: tuple[str, ...], *shape: int) -> Sensitivities:
     """Return a table of numbers that have no derivatives."""
-    return Sensitivities(names, *np.full((2, *shape, len(names)), np.nan), {})
+    rates, errors = np.full((2, *shape, len(names)), np.nan)
+    return Sensitivities(names, rates, errors, {})
 
 
 def _spread(
