@@ -230,7 +230,7 @@ def lane_sensitivities(
     orbits = [_lane_orbits(batch, lanes, strobe, period, u) for strobe in refined_maps(batch)[:2]]
     on_orbit = np.flatnonzero(np.all([[orbit is not None for orbit in each] for each in orbits], axis=0))
     times, nothing = np.full(count, np.nan), no_sensitivities(parameter_names(batch), count)
-    moduli, of_map = np.full((2, count), np.nan), iter((0, 1))
+    moduli, of_maps = np.full((2, count), np.nan), list[np.ndarray]()
     if not len(on_orbit):
         points = no_sensitivities(nothing.names, count, d)
         return LaneSensitivities(nothing, nothing if timed else None, times, points, nothing, moduli)
@@ -240,14 +240,15 @@ def lane_sensitivities(
 
     def rates(blocks: Sequence[np.ndarray], motions: Sequence[Sequence[OrbitMotion]]) -> list[Numbers]:
         largest = [complex(multipliers(block)[0]) for block in blocks]
-        moduli[next(of_map), on_orbit] = sizes_of = np.abs(largest)
+        of_maps.append(np.abs(largest))
         rows = [modulus_rates(*each) for each in zip(blocks, motions, largest, strict=True)]
         with np.errstate(divide="ignore", invalid="ignore"):
-            rows += [(rate / size, error / size) for (rate, error), size in zip(rows, sizes_of, strict=True)]
+            rows += [(rate / size, error / size) for (rate, error), size in zip(rows, of_maps[-1], strict=True)]
         rows += [each for moved in motions for each in point_rates(moved)]
         return rows + [time_rates(each) for each in motions] if timed else rows
 
     derived, first = sensitivities(batch, lanes, coarse, fine, rates, timed=timed), len(on_orbit)
+    moduli[:, on_orbit] = of_maps
     multiplier, growth, point, time = np.split(np.arange(len(derived.rates)), first * np.array([1, 2, 2 + d]))
     if timed:
         each = lanes(return_time, (refined_maps(batch)[1],), (np.concatenate(fine.orbits), p), tile=ORBIT_TILE)
