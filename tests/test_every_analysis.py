@@ -1178,6 +1178,26 @@ def cells():
             yield pytest.param(kind, analysis, marks=[pytest.mark.slow] * slow, id=f"{kind}-{analysis}")
 
 
+@pytest.mark.parametrize("kind", ["a map", pytest.param("a start axis", marks=pytest.mark.slow)])
+def test_derivatives_keep_the_contract(kind):
+    """Of every analysis that has some, over one parameter or a start: a column for each parameter of the system, no other."""
+    options = OPTIONS | KINDS[kind].options
+    derived = {
+        name: options[name] | {"sensitivities": True}
+        for name in ANALYSES
+        if "sensitivities" in ANALYSES[name].options.model_fields and not isinstance(KINDS[kind].known[name], str)
+    }
+    assert {"period", "basins"} <= set(derived)
+    units = session(kind).experiment.flow().readout.labels.units
+    parameters = {*session(kind).experiment.flow().parameters}
+    for name, group in session(kind).groups(derived).items():
+        contract.check(name, group, [key for key, unit in units.items() if not unit])
+        if name != "branches" and name in (*derived, "attractors", "bifurcations"):
+            rates = [key for key in group if str(key).endswith("_sensitivity")]
+            assert bool(rates) == (name != "basins"), name
+            assert not rates or {*group["parameter"].to_numpy().tolist()} <= parameters, name
+
+
 @pytest.mark.parametrize(("kind", "analysis"), list(cells()))
 def test_every_analysis(kind, analysis):
     assert set(KINDS[kind].known) == set(ANALYSES), "a new analysis: say what each kind of scene knows of it"

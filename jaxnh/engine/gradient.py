@@ -39,7 +39,7 @@ def gradient(
 
     Args:
         session: runs the analysis.
-        options: of `doubling`, `branches`, `period` or `windows`.
+        options: of `doubling`, `branches`, `period`, `windows` or `basins`.
         numbers: name of a variable that has sensitivities, as `b` of doublings over b; or of several.
         where: values of the result's dimensions that choose one number of a variable, as `{"level": 1}`.
         **axes: the sweep, as of `Session.run`.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses.cascade.doubling import orbit_width
-from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
+from jaxnh.analyses.cascade.limits import doublings_limit, limit_rates, widths_limit
 
 REAL = np.longdouble
 DELTA, ALPHA = 4.669201609102990, 2.502907875095892  # Briggs, Math. Comp. 57 (1991) 435
@@ -219,3 +219,38 @@ def test_units(cascades, factor):
     assert other.ratio == pytest.approx(one.ratio, abs=0.01 * one.ratio_error)
     assert other.ratio_error == pytest.approx(one.ratio_error, rel=0.01)
     assert other.value / factor - 1.0 == pytest.approx(one.value, abs=0.01 * one.error)
+
+
+@pytest.mark.slow  # sequences with the same derivatives are quick
+@pytest.mark.parametrize("noise", [1e-13, 1e-10])
+def test_intervals_of_derivatives_of_limits_cover(noise):
+    """Of b∞ of x → 1 − a x² (1 + c₃ x + c₄ x²) in c₃ and c₄, by differences of cascades in long double."""
+    step, rng, found = REAL("1e-3"), np.random.default_rng(1), []
+    for third, fourth in ((0.32, 0.16), (-0.2, 0.05), (0.15, 0.0)):
+        values, rates = located(polynomial(REAL(third), REAL(fourth)), 0.3, 0.5, 0.1).values, []
+        for way in np.eye(2):
+            run = {
+                k: located(polynomial(*(third, fourth) + k * step * way), 0.3, 0.5, 0.1).values for k in (-2, -1, 1, 2)
+            }
+            rates.append((8 * (run[1] - run[-1]) - (run[2] - run[-2])) / (12 * step))
+        rates = np.array(rates).T
+        end = rates[-1] + (rates[-1] - rates[-2]) / (REAL(DELTA) - 1)
+        for first in range(3):
+            for last in range(first + 4, LEVELS - 1):
+                part, error = (values[first:last] - values[-1]).astype(float), np.full(last - first, 1e-15)
+                seen = (rates[first:last] - end).astype(float) + noise * rng.normal(size=(last - first, 2))
+                found += zip(*limit_rates(part, error, seen, np.full(seen.shape, noise)), strict=True)
+    checked("∂b∞", *np.array(found).T, most=0.05)
+
+
+def test_derivatives_of_limits(cascades):
+    """What is a number and a share of the doublings themselves has that number and share of their limit, to rounding."""
+    for values, _ in cascades.values():
+        part, error = (values[:6] - values[0]).astype(float), np.full(6, 1e-14)
+        limit = doublings_limit(part, error)
+        rates = np.stack([0.3 - 2.0 * part, np.full(6, 0.7), np.full(6, np.nan)], axis=1)
+        got, bar = limit_rates(part, error, rates, np.full(rates.shape, 1e-13))
+        assert abs(got[0] - (0.3 - 2.0 * limit.value)) < 0.1 * bar[0] < 0.4 * limit.error
+        assert abs(got[1] - 0.7) <= bar[1] < 1e-12
+        assert np.isnan([got[2], bar[2]]).all()
+    assert np.isnan(limit_rates(part[:3], error[:3], rates[:3], np.ones((3, 3)))).all()

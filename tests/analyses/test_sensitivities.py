@@ -204,4 +204,4 @@ analyses:
     assert float(data["begin"][window]) == pytest.approx(1 + 8**0.5 + 0.09, abs=1e-9)
     for name in ("begin", "end"):
         check(data.isel(window=[window]), name, {"q": 0.6}, 1e-7)
-    assert table(data, {}, "").heads[-2:] == ("∂begin/∂q", "∂end/∂q")
+    assert table(data, {}, "").heads[-3:] == ("∂begin/∂q", "∂end/∂q", "∂limit/∂q")

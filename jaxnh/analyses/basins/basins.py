@@ -17,6 +17,7 @@ import xarray as xr
 from jaxtyping import Int
 
 from jaxnh.analyses.base import LANE, Analysis, Setting, SweepLanes, SweepReduction, variable
+from jaxnh.analyses.basins.attractor_sensitivities import attractor_sensitivities
 from jaxnh.analyses.basins.boundary import boundary_variables, check_plane
 from jaxnh.analyses.basins.classification import POINTS, Attractors
 from jaxnh.analyses.basins.clustering import find_attractors
@@ -26,9 +27,10 @@ from jaxnh.analyses.basins.paths import batch_from_points, record_points
 from jaxnh.analyses.basins.settling import FAILED, LaneRecords, settle
 from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.basins import BasinsOptions
+from jaxnh.analyses.periodic.sensitivities import Sensitivities
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.random_starts import check_box, draw_starts, random_start_batch
 from jaxnh.analyses.section_points import states_at
@@ -135,6 +137,10 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
         tracked = continue_attractors(grid, lanes, every, point_of, options.transient, options.max_periods)
         table, numbers = _number_attractors(grid, lanes, every, point_of, tracked, on)
         number[on >= 0] = numbers[on[on >= 0]]
+    derived = dict[str, Sensitivities]()
+    if options.sensitivities:
+        names = [name for name in table.coordinates if not name.endswith("_points")]
+        derived = attractor_sensitivities(grid, lanes, table.point, table.judged, names)
     flow = sweep.rows[0][1].flow
     unit = iterate_units(flow)
     axes = tuple(sweep.axes[k] for k in own)
@@ -142,7 +148,7 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
     basins = basins_group(records, number, unit, flow, drawn, (count // each, *starts), judged)
     if options.boundary:
         basins = basins.merge(boundary_variables(number, sweep.axes))
-    return {"basins": basins, "attractors": attractors_group(table, axes, hits, unit, rate_attrs(flow))}
+    return {"basins": basins, "attractors": attractors_group(table, axes, hits, unit, sweep.rows[0][1], derived)}
 
 
 def _with_settled_steps(batch: LaneBatch) -> LaneBatch:

@@ -14,12 +14,14 @@ from jaxnh.analyses.base import LANE, Entry, as_variable, flag, number_variable,
 from jaxnh.analyses.basins.classification import NONE, POINTS, Attractors
 from jaxnh.analyses.basins.continuation import CHANGES, Change
 from jaxnh.analyses.basins.settling import CONSERVATIVE, TRANSIENT, LaneRecords
-from jaxnh.analyses.batch import Axis
+from jaxnh.analyses.batch import Axis, LaneBatch, rate_attrs
 from jaxnh.analyses.intervals import normal_quantile
+from jaxnh.analyses.periodic.sensitivities import Sensitivities
+from jaxnh.analyses.periodic.sensitivity_tables import absent_words, sensitivity_variables
 from jaxnh.analyses.table_arrays import RowPlaces
 from jaxnh.analyses.verdict import KINDS
 from jaxnh.systems.flow import Flow
-from jaxnh.systems.readout import Output, status
+from jaxnh.systems.readout import UNSAID, Output, status
 
 _MOST_NUMBERS = 1 << 24  # of all points of attractors over the parameters
 _UNDECIDED = ("no", "time", "volume_preserved", "transient")
@@ -108,9 +110,19 @@ def attractors_group(
     axes: Sequence[Axis],
     hits: tuple[np.ndarray, np.ndarray],
     unit: str,
-    rate: Mapping[str, str],
+    batch: LaneBatch,
+    derived: Mapping[str, Sensitivities],
 ) -> xr.Dataset:
-    """Return all attractors over the axes that are parameters, with their changes; `hits` as `shares` gives them."""
+    """Return all attractors over the axes that are parameters, with their changes.
+
+    Args:
+        known: the attractors.
+        axes: that are parameters.
+        hits: as `shares` gives them.
+        unit: that periods are counted in.
+        batch: of lanes with their flow.
+        derived: derivatives of numbers of the attractors, (attractors, parameters), by name.
+    """
     names, sizes = tuple(axis.name for axis in axes), tuple(len(axis.values) for axis in axes)
     most = hits[0].shape[1]
     dims = (*names, "attractor")
@@ -144,7 +156,7 @@ def attractors_group(
         "period": number_variable(
             dims, table(period, 0), "least period of a periodic orbit", ("none",), counted_in=unit
         ),
-        "exponent": variable(dims, table(exponent, np.nan), of_exponent, **rate),
+        "exponent": variable(dims, table(exponent, np.nan), of_exponent, **rate_attrs(batch.flow)),
         "multiplier": variable(dims, table(multiplier, np.nan), of_multiplier),
         **{name: variable(dims, v.reshape(*sizes, most), words[name]) for name, v in fraction.items()},
     }
@@ -155,9 +167,15 @@ def attractors_group(
         said = f"{output.long_name} of {'points' if every else 'a point'} of the attractor"
         values = output.data[:, :points] if every else output.data
         variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said, **output.attrs)
+    for name, rates in derived.items():
+        whole = rates._replace(rates=table(rates.rates, np.nan), errors=table(rates.errors, np.nan))
+        attrs = variables[name][2]
+        words, units = str(attrs["long_name"]), str(attrs.get("units", UNSAID))
+        variables |= sensitivity_variables(whole, batch, dims, name, words, units)
     if math.prod(sizes) > 1:
         variables |= _changes(known.changes, axes, sizes)
-    return xr.Dataset(variables)
+    warnings = "\n".join(dict.fromkeys(filter(None, (absent_words("basins", each) for each in derived.values()))))
+    return xr.Dataset(variables, attrs={"warnings": warnings} if warnings else {})
 
 
 def _changes(changes: Sequence[Change], axes: Sequence[Axis], sizes: tuple[int, ...]) -> dict[str, Entry]:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting, Table, variable
 from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
+from jaxnh.analyses.cascade.cascade_sensitivities import cascade_sensitivities
 from jaxnh.analyses.cascade.extended_precision import (
     FLOAT64_LEVELS,
     ExtendedDoublings,
@@ -25,7 +26,6 @@ from jaxnh.analyses.cascade.follow import TRANSIENT, Cascade, follow, survey_lim
 from jaxnh.analyses.cascade.limits import doublings_limit, widths_limit
 from jaxnh.analyses.options.orbits import DoublingOptions
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits
-from jaxnh.analyses.periodic.sensitivities import doubling_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import absent_words, sensitivity_variables, sensitivity_words
 from jaxnh.maps.section import System, flow_of
 from jaxnh.systems.chart import Wrap
@@ -138,12 +138,13 @@ def _dataset(system: System, axis: Axis, levels: int, cascade: Cascade) -> xr.Da
 def _with_sensitivities(
     data: xr.Dataset, batch: LaneBatch, lanes: LaneRunner, doublings: Sequence[LocatedDoubling]
 ) -> xr.Dataset:
-    """The dataset with derivatives of all doublings in the other parameters of the flow."""
+    """The dataset with derivatives of all doublings, and of their limit, in the other parameters of the flow."""
     name, levels = batch.first_axis.name, data.sizes["level"]
-    derived = doubling_sensitivities(batch, lanes, doublings).padded(levels)
+    derived, limits = (each.row(0) for each in cascade_sensitivities(batch, lanes, [doublings], levels))
     warnings = "\n".join(filter(None, (data.attrs.get("warnings", ""), absent_words("doubling", derived))))
-    words = f"{batch.first_axis.long_name} at the doubling"
-    more = sensitivity_variables(derived, batch, "level", name, words, batch.first_axis.units)
+    words, units = batch.first_axis.long_name, batch.first_axis.units
+    more = sensitivity_variables(derived, batch, ("level",), name, f"{words} at the doubling", units)
+    more |= sensitivity_variables(limits, batch, (), "limit", f"{words} where the cascade ends", units)
     return data.assign(more).assign_attrs({"warnings": warnings} if warnings else {})
 
 

@@ -8,7 +8,13 @@ Some ρ follow from the ratio itself: a system is a smooth function of its param
 measured in some smooth coordinate, which gives −1/α and its powers. Others belong to directions in which the operator
 contracts, as −0.1237 for quadratic maxima (Christiansen, Cvitanović, Rugh, J. Phys. A 23 (1990) L713); here nothing is
 known of them but that they are small. So these are any numbers up to a bound, and all amplitudes are random, of a size
-that the sequence itself tells: a Gaussian process. No value of δ or α is put in. Host code.
+that the sequence itself tells: a Gaussian process. No value of δ or α is put in.
+
+With any other parameter q of the system b∞, A and B_j move, while δ and ρ_j are those of all maps: derivatives
+
+    ∂b_k/∂q = ∂b∞/∂q + δ⁻ᵏ (∂A/∂q + Σ ∂(A B_j)/∂q ρ_jᵏ)
+
+are another such sequence, of ratios that the doublings themselves tell. Host code.
 """
 
 from __future__ import annotations
@@ -53,16 +59,20 @@ class _Kind(NamedTuple):
         bounds: of the other ratios, each as likely as the others, (bounds,).
         reach: of the logarithm of the ratio, about that of the last levels.
         constant: whether the limit is unknown; else it is zero.
+        last: whether the last step tells A, or else that which tells of the largest one.
     """
 
     tied: Callable[[np.ndarray], tuple[np.ndarray, ...]]
     bounds: Float[np.ndarray, " bounds"]
     reach: float
     constant: bool
+    last: bool = True
 
 
 # A cascade may begin where it is nearly of another kind, as at a flatter extremum: corrections then fall slowly.
 _DOUBLINGS = _Kind(lambda r: (r,), np.array([0.1, 0.2, 0.4, 0.8]), 0.6, constant=True)
+# A derivative of A may be anything, zero too: what corrections change by is then all that there is in its last step.
+_RATES = _DOUBLINGS._replace(last=False)
 _WIDTHS = _Kind(lambda r: (-r, r * r), np.array([0.1, 0.2, 0.4]), 0.25, constant=False)
 
 
@@ -79,6 +89,23 @@ class _Posterior(NamedTuple):
     variance: Float[np.ndarray, " ratios"]
 
 
+class _Nodes(NamedTuple):
+    """All models of a sequence at nodes of ratios, in the order of these: (nodes,) each.
+
+    Attributes:
+        ratio: δ or α.
+        weight: probability.
+        bound: of the model's other ratios.
+        value, variance: of the limit of the sequence.
+    """
+
+    ratio: Float[np.ndarray, " nodes"]
+    weight: Float[np.ndarray, " nodes"]
+    bound: Float[np.ndarray, " nodes"]
+    value: Float[np.ndarray, " nodes"]
+    variance: Float[np.ndarray, " nodes"]
+
+
 _UNKNOWN = Limit(np.nan, np.nan, np.nan, np.nan)
 
 
@@ -90,14 +117,65 @@ def doublings_limit(values: Float[np.ndarray, " levels"], errors: Float[np.ndarr
         errors: of them, that differ from level to level: rounding. What all share, or what is a smooth function of the
             parameter, as the error of a map, changes b∞ but not δ, which all maps have.
     """
-    steps = np.abs(np.diff(values))
-    seen = steps > _SEEN * (errors[1:] + errors[:-1])
-    levels = len(values) if seen.all() else int(np.argmin(seen)) + 1
+    levels = _levels_seen(values, errors)
     if levels < 4:
         return _UNKNOWN
-    from_last = (values - values[levels - 1])[:levels]
-    limit = _limit(from_last, errors[:levels], steps[levels - 3] / steps[levels - 2], _DOUBLINGS)
+    limit = _limit(_doublings_nodes(values[:levels], errors[:levels]))
     return limit._replace(value=float(values[levels - 1] + limit.value))
+
+
+def limit_rates(
+    values: Float[np.ndarray, " levels"],
+    errors: Float[np.ndarray, " levels"],
+    rates: Float[np.ndarray, "levels parameters"],
+    rate_errors: Float[np.ndarray, "levels parameters"],
+) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
+    """Derivatives of b∞ in other parameters, and their errors, of four doublings or more; else not a number.
+
+    Args:
+        values, errors: as of `doublings_limit`.
+        rates, rate_errors: derivatives of the doublings, and their errors.
+    """
+    levels, found = _levels_seen(values, errors), np.full((2, rates.shape[1]), np.nan)
+    if levels < 4:
+        return found[0], found[1]
+    nodes = _doublings_nodes(values[:levels], errors[:levels])
+    for k in np.flatnonzero(np.isfinite(rates[:levels] + rate_errors[:levels]).all(axis=0)):
+        found[:, k] = _limit_rate(nodes, rates[:levels, k], rate_errors[:levels, k])
+    return found[0], found[1]
+
+
+def _levels_seen(values: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]) -> int:
+    """Return the number of levels up to the first step that errors hide."""
+    seen = np.abs(np.diff(values)) > _SEEN * (errors[1:] + errors[:-1])
+    return len(values) if seen.all() else int(np.argmin(seen)) + 1
+
+
+def _doublings_nodes(values: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]) -> _Nodes:
+    """Return models of doublings as seen from the last of them."""
+    steps = np.abs(np.diff(values))
+    return _nodes(values - values[-1], errors, steps[-2] / steps[-1], _DOUBLINGS)
+
+
+def _limit_rate(
+    nodes: _Nodes, rates: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]
+) -> tuple[float, float]:
+    """Return the limit of derivatives and its error: at ratios as likely as the doublings have them, of all sizes."""
+    weights, values, variances = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
+    for bound in np.unique(nodes.bound):
+        mine = nodes.bound == bound
+        of_sizes = [
+            _posterior(rates - rates[-1], errors, 1.0 / nodes.ratio[mine], _RATES, size, bound) for size in _SIZES
+        ]
+        density, value, variance = (np.stack(leaves) for leaves in zip(*of_sizes, strict=True))
+        share = np.exp(density - density.max(axis=0))
+        weights.append((nodes.weight[mine] * share / share.sum(axis=0)).ravel())
+        values.append(value.ravel())
+        variances.append(variance.ravel())
+    weight, value, variance = (np.concatenate(parts) for parts in (weights, values, variances))
+    limit = float(weight @ value)
+    spread = float(weight @ (variance + (value - limit) ** 2))
+    return float(rates[-1]) + limit, _WIDE * float(np.sqrt(spread))
 
 
 def widths_limit(widths: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]) -> Limit:
@@ -107,24 +185,30 @@ def widths_limit(widths: Float[np.ndarray, " levels"], errors: Float[np.ndarray,
     widths, errors = widths[last:], errors[last:]
     if len(widths) < 3:
         return _UNKNOWN
-    return _limit(widths, errors, widths[-2] / widths[-1], _WIDTHS)
+    return _limit(_nodes(widths, errors, widths[-2] / widths[-1], _WIDTHS))
 
 
-def _limit(
+def _nodes(
     sequence: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"], last: float, kind: _Kind
-) -> Limit:
-    """The interval of the ratio about that of the last levels, and the limit, over all models of the corrections."""
+) -> _Nodes:
+    """Return all models of the corrections, with ratios about that of the last levels."""
     middle = np.log(max(last, _LEAST_RATIO))
     ends = max(middle - kind.reach, np.log(_LEAST_RATIO)), middle + kind.reach
-    models = itertools.product(_SIZES, kind.bounds)
+    models = list(itertools.product(_SIZES, kind.bounds))
     grids, posteriors = zip(*(_peak(sequence, errors, kind, size, bound, ends) for size, bound in models), strict=True)
     mass = np.concatenate([p.density + np.log(logs[1] - logs[0]) for logs, p in zip(grids, posteriors, strict=True)])
     logs = np.concatenate(grids)
     order = np.argsort(logs)
     weight = np.exp(mass - mass.max())[order]
     weight /= weight.sum()
-    ratios = np.exp(logs[order])
+    bound = np.repeat([bound for _, bound in models], [len(grid) for grid in grids])[order]
     value, variance = (np.concatenate([getattr(p, name) for p in posteriors])[order] for name in ("value", "variance"))
+    return _Nodes(np.exp(logs[order]), weight, bound, value, variance)
+
+
+def _limit(nodes: _Nodes) -> Limit:
+    """Return the interval of the ratio, and the limit, over all models of the corrections."""
+    ratios, weight, _, value, variance = nodes
     ratio = float(weight @ ratios)
     interval = np.interp([_TAIL, 1.0 - _TAIL], np.cumsum(weight) - 0.5 * weight, ratios)
     limit = float(weight @ value)
@@ -168,8 +252,13 @@ def _posterior(
     levels = len(sequence)
     k = np.arange(levels)
     power = r[:, None] ** k
-    if kind.constant:
-        scale = abs(sequence[-1] - sequence[-2]) / (power[:, -2] - power[:, -1])
+    unit = abs(sequence[-1] - sequence[-2])
+    if not kind.last:
+        steps = np.maximum(np.abs(np.diff(sequence)), errors[1:])  # of the same derivative at all levels none
+        scale = np.max(steps / (power[:, :-1] - power[:, 1:]), axis=1)
+        unit = float(steps[-1])
+    elif kind.constant:
+        scale = unit / (power[:, -2] - power[:, -1])
     else:
         scale = abs(sequence[-1]) / power[:, -1]
     main = scale[:, None] * power
@@ -177,7 +266,6 @@ def _posterior(
     spread = np.sqrt(np.einsum("...ii->...i", covariance))
     correlation = covariance / (spread[..., :, None] * spread[..., None, :])
     root = np.linalg.cholesky(correlation + _NUGGET * np.eye(levels))
-    unit = abs(sequence[-1] - sequence[-2])
     known = [main, *([np.full_like(main, unit)] if kind.constant else []), np.broadcast_to(sequence, main.shape)]
     columns = np.stack(known, -1) / spread[..., None]
     upper = np.linalg.qr(np.linalg.solve(root, columns))[1]

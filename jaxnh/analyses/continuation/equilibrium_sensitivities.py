@@ -1,4 +1,4 @@
-"""Derivatives of folds and Hopf points of equilibria in all parameters of a flow, by the implicit function theorem.
+"""Derivatives of equilibria, their folds and Hopf points in all parameters of a flow: the implicit function theorem.
 
 Equilibria are fixed points of u + f(u), whose multipliers are 1 + λ: what is known of orbits holds for them
 (`orbits.bifurcations.sensitivities`), but for the condition of a Hopf point, which is Re λ = 0.
@@ -7,7 +7,7 @@ Equilibria are fixed points of u + f(u), whose multipliers are 1 + λ: what is k
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +21,7 @@ from jaxnh.analyses.periodic.sensitivities import (
     Numbers,
     Sensitivities,
     is_own,
+    no_sensitivities,
     parameter_names,
     scale_of,
     shifted_batch,
@@ -28,6 +29,7 @@ from jaxnh.analyses.periodic.sensitivities import (
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.sensitivities import (
     OrbitMotion,
+    ShiftedMap,
     fold_rates,
     implicit_rates,
     multiplier_rate,
@@ -35,6 +37,7 @@ from jaxnh.orbits.bifurcations.sensitivities import (
 )
 from jaxnh.orbits.collocation.fields import point_rates
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF
+from jaxnh.systems.flow import Parameters
 
 
 def equilibrium_sensitivities(batch: LaneBatch, lanes: LaneRunner, points: Sequence[CriticalOrbit]) -> Sensitivities:
@@ -59,19 +62,51 @@ def equilibrium_sensitivities(batch: LaneBatch, lanes: LaneRunner, points: Seque
     return Sensitivities(names[1:], rates, errors, absent)
 
 
+class LaneEquilibriumSensitivities(NamedTuple):
+    """Derivatives of equilibria in all parameters.
+
+    Attributes:
+        exponent: of the largest real part of the eigenvalues, (equilibria, parameters).
+        points: of each coordinate, (equilibria, d, parameters).
+    """
+
+    exponent: Sensitivities
+    points: Sensitivities
+
+
+def lane_equilibrium_sensitivities(
+    batch: LaneBatch, lanes: LaneRunner, u: Float[np.ndarray, "equilibria d"]
+) -> LaneEquilibriumSensitivities:
+    """Derivatives of equilibria, one for each lane of a batch without a section; not a number under constraints.
+
+    Constraints leave eigenvalues at zero, in whose directions nothing says where an equilibrium moves to.
+    """
+    names, (count, d) = parameter_names(batch), u.shape
+    absent = {name: reason for name in names if (reason := _why_absent(batch, name))}
+    exponent, points = (no_sensitivities(names, *shape)._replace(absent=absent) for shape in ((count,), (count, d)))
+    if not count or batch.flow.chart.dimension > batch.flow.exponents:
+        return LaneEquilibriumSensitivities(exponent, points)
+    field, orbits = _field_map(batch, lanes, dict(batch.p)), list(u[:, None])
+    blocks = list(np.asarray(field(names[0], 0.0, u).monodromy)[:, None])
+    leading = [complex(max(np.linalg.eigvals(block[0]), key=np.real)) for block in blocks]
+    for k, name in enumerate(names):
+        if name in absent:
+            continue
+        motions = orbit_motions(field, orbits, blocks, name, scale_of(batch, name), batch.chart.wrap)
+        rates = [multiplier_rate(*each) for each in zip(blocks, motions, leading, strict=True)]
+        exponent.rates[:, k], exponent.errors[:, k] = np.array([(rate.real, error) for rate, error in rates]).T
+        points.rates[..., k] = [motion.points[0] for motion in motions]
+        points.errors[..., k] = [motion.points_error[0] for motion in motions]
+    for table in (exponent, points):
+        table.errors[:] += ROUNDING * np.abs(table.rates)
+    return LaneEquilibriumSensitivities(exponent, points)
+
+
 def _rates(
     batch: LaneBatch, lanes: LaneRunner, points: Sequence[CriticalOrbit], names: Sequence[str]
 ) -> Float[np.ndarray, "points 2 others"]:
     """Derivatives at points in parameters but the first, and their errors."""
-    p = batch.at_values(np.array([point.value for point in points])).p
-
-    def at(name: str, shift: float, u: Float[np.ndarray, "points d"]) -> Derivatives:
-        own = is_own(batch, name)
-        moved = {**p, name: np.asarray(p[name]) + shift} if own else p
-        flow = batch.flow if own else shifted_batch(batch, name, shift).flow
-        rate: Any = lanes(point_rates, (flow,), (u, np.zeros(len(u)), moved), tile=ORBIT_TILE, static=((),))
-        return Derivatives(u + rate.rate, np.eye(u.shape[1]) + rate.jacobian, u)  # pyright: ignore[reportArgumentType]
-
+    at = _field_map(batch, lanes, batch.at_values(np.array([point.value for point in points])).p)
     orbits, wrap = [point.points for point in points], batch.chart.wrap
     blocks = list(np.asarray(at(names[0], 0.0, np.concatenate(orbits)).monodromy)[:, None])
     isolated = [point.kind == HOPF for point in points]
@@ -85,6 +120,19 @@ def _rates(
             for point, block, moved in each
         ]
     )
+
+
+def _field_map(batch: LaneBatch, lanes: LaneRunner, p: Parameters) -> ShiftedMap:
+    """Return u + f(u) at points with these parameters but for one."""
+
+    def at(name: str, shift: float, u: Float[np.ndarray, "points d"]) -> Derivatives:
+        own = is_own(batch, name)
+        moved = {**p, name: np.asarray(p[name]) + shift} if own else p
+        flow = batch.flow if own else shifted_batch(batch, name, shift).flow
+        rate: Any = lanes(point_rates, (flow,), (u, np.zeros(len(u)), moved), tile=ORBIT_TILE, static=((),))
+        return Derivatives(u + rate.rate, np.eye(u.shape[1]) + rate.jacobian, u)  # pyright: ignore[reportArgumentType]
+
+    return at
 
 
 def _real_part_rates(block: Float[np.ndarray, "1 d d"], motions: Sequence[OrbitMotion]) -> Numbers:

@@ -107,7 +107,7 @@ def datasets(
     if derived:
         rates = _sensitivities(lanes, grown, bifurcations)
         words = f"{axis.long_name} at the bifurcation"
-        points |= sensitivity_variables(rates, batch, "bifurcation", axis.name, words, axis.units)
+        points |= sensitivity_variables(rates, batch, ("bifurcation",), axis.name, words, axis.units)
         own |= {"warnings": reasons} if (reasons := absent_words("bifurcations", rates)) else {}
     return {
         "branches": xr.Dataset(branches, attrs=attrs),

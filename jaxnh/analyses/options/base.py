@@ -81,6 +81,14 @@ class Options(BaseModel, metaclass=_OptionsType):
     untimed: ClassVar[bool] = False
 
 
+class SensitivityOptions(Options):
+    """Options of analyses whose numbers have derivatives in the parameters of the flow."""
+
+    sensitivities: Extra = Field(
+        default=None, description="Whether to give the derivatives of its numbers in every parameter of the flow too"
+    )
+
+
 def rule(message: str, *keys: str) -> PydanticCustomError:
     """The error a validator raises for values that do not go together; the config gives it its line.
 

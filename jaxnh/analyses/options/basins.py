@@ -6,10 +6,10 @@ from typing import ClassVar
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import BLOCKS, Box, Options, check_random_starts, check_sides, rule
+from jaxnh.analyses.options.base import BLOCKS, Box, Options, SensitivityOptions, check_random_starts, check_sides, rule
 
 
-class BasinsOptions(Options):
+class BasinsOptions(SensitivityOptions):
     """Options of `basins`."""
 
     in_time: ClassVar[bool] = True

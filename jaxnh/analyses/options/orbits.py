@@ -7,15 +7,16 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxnh.analyses.options.base import Box, Extra, Omission, Options, check_random_starts, check_sides, rule
-
-
-class SensitivityOptions(Options):
-    """Options of analyses whose numbers have derivatives in the parameters of the flow."""
-
-    sensitivities: Extra = Field(
-        default=None, description="Whether to give the derivatives of its numbers in every parameter of the flow too"
-    )
+from jaxnh.analyses.options.base import (
+    Box,
+    Extra,
+    Omission,
+    Options,
+    SensitivityOptions,
+    check_random_starts,
+    check_sides,
+    rule,
+)
 
 
 class PeriodOptions(SensitivityOptions):

@@ -51,12 +51,13 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
 
 def _sensitivities(batch: LaneBatch, lanes: LaneRunner, attractors: Survey) -> dict[str, Entry]:
     """Variables of what the largest multiplier, and without a clock the time of an orbit, depend on."""
-    derived, words = lane_sensitivities(batch, lanes, attractors), "the largest modulus of the multipliers"
-    variables = sensitivity_variables(derived.multiplier, batch, LANE, "multiplier", words, "1")
+    period = np.where(attractors.failed, 0, attractors.period)
+    derived, words = lane_sensitivities(batch, lanes, period, attractors.u), "the largest modulus of the multipliers"
+    variables = sensitivity_variables(derived.multiplier, batch, (LANE,), "multiplier", words, "1")
     if derived.time is not None:
         words, units = "the time that the orbit takes", batch.flow.readout.labels.units["t"]
         variables["time"] = variable(LANE, derived.times, words, units)
-        variables |= sensitivity_variables(derived.time, batch, LANE, "time", words, units)
+        variables |= sensitivity_variables(derived.time, batch, (LANE,), "time", words, units)
     return variables
 
 

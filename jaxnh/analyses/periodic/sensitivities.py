@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
-from jaxnh.analyses.periodic.attractor_survey import Survey
 from jaxnh.analyses.periodic.location import LocatedDoubling, refined_maps
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
 from jaxnh.maps.family import Maps, ParameterFamily
@@ -30,6 +29,7 @@ from jaxnh.orbits.bifurcations.sensitivities import (
     implicit_rates,
     modulus_rates,
     orbit_motions,
+    point_rates,
     time_rates,
 )
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
@@ -52,21 +52,19 @@ class Sensitivities(NamedTuple):
 
     Attributes:
         names: of the parameters.
-        rates: (numbers, parameters), not a number where there is no derivative.
-        errors: of the rates, (numbers, parameters).
+        rates: (numbers, parameters), numbers in one or several dimensions; not a number where there is no derivative.
+        errors: of the rates, likewise.
         absent: why there is no derivative, by parameter.
     """
 
     names: tuple[str, ...]
-    rates: Float[np.ndarray, "numbers parameters"]
-    errors: Float[np.ndarray, "numbers parameters"]
+    rates: Float[np.ndarray, "*numbers parameters"]
+    errors: Float[np.ndarray, "*numbers parameters"]
     absent: dict[str, str]
 
-    def padded(self, count: int) -> Sensitivities:
-        """Return the derivatives of so many numbers, not a number of those that are missing."""
-        room = [(0, count - len(self.rates)), (0, 0)]
-        rates, errors = (np.pad(table, room, constant_values=np.nan) for table in (self.rates, self.errors))
-        return self._replace(rates=rates, errors=errors)
+    def row(self, k: int) -> Sensitivities:
+        """Return the derivatives of the numbers at one place of the first dimension."""
+        return self._replace(rates=self.rates[k], errors=self.errors[k])
 
     def with_rows(self, rows: Sequence[int], other: Sensitivities) -> Sensitivities:
         """Return the derivatives with those of some numbers from elsewhere, in the same parameters."""
@@ -171,10 +169,9 @@ def bifurcation_sensitivities(batch: LaneBatch, lanes: LaneRunner, points: Seque
     Not a number where there are none: at branch points, which most changes of a parameter leave none of.
     """
     names, count = parameter_names(batch)[1:], len(points)
-    nothing = Sensitivities(names, np.full((count, len(names)), np.nan), np.full((count, len(names)), np.nan), {})
     some = np.array([k for k, point in enumerate(points) if point.kind in (FOLD, DOUBLING, NEIMARK_SACKER)], int)
     if not len(some):
-        return nothing
+        return no_sensitivities(names, count)
     every = [points[k] for k in some]
     values = np.repeat([point.value for point in every], [len(point.points) for point in every])
     orbits = ParametrisedOrbits([point.points for point in every], batch.at_values(values).p)
@@ -189,7 +186,7 @@ def bifurcation_sensitivities(batch: LaneBatch, lanes: LaneRunner, points: Seque
 
     isolated = [point.kind != FOLD for point in every]
     derived = sensitivities(batch, lanes, orbits, orbits, rates, isolated=isolated)
-    return _spread(derived, slice(None), some, count)
+    return _spread(derived, np.arange(len(some)), some, count)
 
 
 def _on_circle(multipliers: Complex[np.ndarray, " d"]) -> complex:
@@ -205,62 +202,100 @@ class LaneSensitivities(NamedTuple):
         multiplier: of the largest modulus of the multipliers.
         time: of the time that the orbit takes on a section; None where there is a clock.
         times: this time, (lanes,).
+        points: of each section coordinate of one point of it, (lanes, d, parameters).
+        growth: of the logarithm of the multiplier.
+        moduli: the multiplier, by the map with the steps that the accuracy asks for and by twice as many, (2, lanes).
     """
 
     multiplier: Sensitivities
     time: Sensitivities | None
     times: Float[np.ndarray, " lanes"]
+    points: Sensitivities
+    growth: Sensitivities
+    moduli: Float[np.ndarray, "2 lanes"]
 
 
-def lane_sensitivities(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> LaneSensitivities:
-    """Derivatives of the largest multiplier of every lane's orbit, and without a clock of the time that it takes."""
-    timed = batch.on_section
-    names, count = parameter_names(batch), len(survey.period)
-    orbits = [_lane_orbits(batch, lanes, strobe, survey) for strobe in refined_maps(batch)[:2]]
+def lane_sensitivities(
+    batch: LaneBatch, lanes: LaneRunner, period: Int[np.ndarray, " lanes"], u: Float[np.ndarray, "lanes d"]
+) -> LaneSensitivities:
+    """Derivatives of every lane's orbit: of its largest multiplier and a point, and without a clock of its time.
+
+    Args:
+        batch: the lanes.
+        lanes: runs them.
+        period: of their orbits, 0 where a lane is on none.
+        u: a point of each in section coordinates.
+    """
+    timed, (count, d) = batch.on_section, u.shape
+    orbits = [_lane_orbits(batch, lanes, strobe, period, u) for strobe in refined_maps(batch)[:2]]
     on_orbit = np.flatnonzero(np.all([[orbit is not None for orbit in each] for each in orbits], axis=0))
-    times = np.full(count, np.nan)
-    tables = [Sensitivities(names, np.full((count, len(names)), np.nan), np.full((count, len(names)), np.nan), {})] * 2
+    times, nothing = np.full(count, np.nan), no_sensitivities(parameter_names(batch), count)
+    moduli, of_maps = np.full((2, count), np.nan), list[np.ndarray]()
     if not len(on_orbit):
-        return LaneSensitivities(tables[0], tables[1] if timed else None, times)
-    sizes = survey.period[on_orbit]
+        points = no_sensitivities(nothing.names, count, d)
+        return LaneSensitivities(nothing, nothing if timed else None, times, points, nothing, moduli)
+    sizes = period[on_orbit]
     p = select(dict(batch.p), np.repeat(on_orbit, sizes))
-    coarse, fine = (ParametrisedOrbits([o for o in each if o is not None], p) for each in orbits)
+    coarse, fine = (ParametrisedOrbits([o for k in on_orbit if (o := each[k]) is not None], p) for each in orbits)
 
     def rates(blocks: Sequence[np.ndarray], motions: Sequence[Sequence[OrbitMotion]]) -> list[Numbers]:
         largest = [complex(multipliers(block)[0]) for block in blocks]
+        of_maps.append(np.abs(largest))
         rows = [modulus_rates(*each) for each in zip(blocks, motions, largest, strict=True)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rows += [(rate / size, error / size) for (rate, error), size in zip(rows, of_maps[-1], strict=True)]
+        rows += [each for moved in motions for each in point_rates(moved)]
         return rows + [time_rates(each) for each in motions] if timed else rows
 
-    derived = sensitivities(batch, lanes, coarse, fine, rates, timed=timed)
-    parts = [slice(0, len(on_orbit)), slice(len(on_orbit), None)]
-    spread = [_spread(derived, part, on_orbit, count) for part in parts[: 1 + timed]]
+    derived, first = sensitivities(batch, lanes, coarse, fine, rates, timed=timed), len(on_orbit)
+    moduli[:, on_orbit] = of_maps
+    multiplier, growth, point, time = np.split(np.arange(len(derived.rates)), first * np.array([1, 2, 2 + d]))
     if timed:
         each = lanes(return_time, (refined_maps(batch)[1],), (np.concatenate(fine.orbits), p), tile=ORBIT_TILE)
         times[on_orbit] = np.add.reduceat(each, np.cumsum(np.append(0, sizes[:-1])))
-    return LaneSensitivities(spread[0], spread[1] if timed else None, times)
+    return LaneSensitivities(
+        _spread(derived, multiplier, on_orbit, count),
+        _spread(derived, time, on_orbit, count) if timed else None,
+        times,
+        _spread(derived, point.reshape(first, d), on_orbit, count),
+        _spread(derived, growth, on_orbit, count),
+        moduli,
+    )
 
 
-def _spread(derived: Sensitivities, rows: slice, lane: Int[np.ndarray, " some"], count: int) -> Sensitivities:
+def no_sensitivities(names: tuple[str, ...], *shape: int) -> Sensitivities:
+    """Return a table of numbers that have no derivatives."""
+    rates, errors = np.full((2, *shape, len(names)), np.nan)
+    return Sensitivities(names, rates, errors, {})
+
+
+def _spread(
+    derived: Sensitivities, rows: Int[np.ndarray, "some ..."], lane: Int[np.ndarray, " some"], count: int
+) -> Sensitivities:
     """Return some rows as those of lanes."""
-    tables = np.full((2, count, len(derived.names)), np.nan)
-    tables[:, lane] = derived.rates[rows], derived.errors[rows]
-    return derived._replace(rates=tables[0], errors=tables[1])
+    whole = no_sensitivities(derived.names, count, *rows.shape[1:])
+    whole.rates[lane], whole.errors[lane] = derived.rates[rows], derived.errors[rows]
+    return whole._replace(absent=derived.absent)
 
 
 def _lane_orbits(
-    batch: LaneBatch, lanes: LaneRunner, strobe: Maps, survey: Survey
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    strobe: Maps,
+    periods: Int[np.ndarray, " lanes"],
+    u: Float[np.ndarray, "lanes d"],
 ) -> list[Float[np.ndarray, "n d"] | None]:
     """Return all points of the orbit of every lane, of one map."""
-    whole: list[Float[np.ndarray, "n d"] | None] = [None] * len(survey.period)
+    whole: list[Float[np.ndarray, "n d"] | None] = [None] * len(periods)
     p = dict(batch.p)
 
     def period(u: Float[np.ndarray, "points d"], lane: Float[np.ndarray, " points"]) -> Derivatives:
         once = np.ones(len(u), np.int32)
         return images(lanes, strobe, select(p, lane.astype(int)), once)(u, np.arange(len(u)))
 
-    for n in np.unique(survey.period[(survey.period > 0) & ~survey.failed]).tolist():
-        lane = np.flatnonzero((survey.period == n) & ~survey.failed)
-        points = [survey.u[lane]]
+    for n in np.unique(periods[periods > 0]).tolist():
+        lane = np.flatnonzero(periods == n)
+        points = [u[lane]]
         while len(points) < n:
             points.append(np.asarray(period(points[-1], lane.astype(float)).image))
         closed = close_orbits(period, np.stack(points, axis=1), lane.astype(float), batch.chart.wrap)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 
@@ -12,21 +14,21 @@ from jaxnh.systems.readout import UNSAID
 
 
 def sensitivity_variables(
-    sensitivities: Sensitivities, batch: LaneBatch, dim: str, name: str, words: str, units: str
+    sensitivities: Sensitivities, batch: LaneBatch, dims: Sequence[str], name: str, words: str, units: str
 ) -> dict[str, Entry]:
-    """Variables of derivatives of a number, over its own dimension and `parameter`, with their errors.
+    """Variables of derivatives of a number, over its own dimensions and `parameter`, with their errors.
 
     Args:
         sensitivities: the derivatives.
         batch: whose flow has the parameters.
-        dim: of the numbers.
+        dims: of the numbers.
         name, words, units: of the number.
     """
     each = {parameter: batch.flow.readout.labels.units.get(parameter, UNSAID) for parameter in sensitivities.names}
     common = units if set(each.values()) <= {"1"} else UNSAID
     said = ", ".join(f"{parameter} in {unit}" for parameter, unit in each.items() if unit not in (UNSAID, "1"))
     more = {"comment": f"units of the number over those of the parameter: {said}"} if said else {}
-    key, dims = f"{name}_sensitivity", (dim, "parameter")
+    key, dims = f"{name}_sensitivity", (*dims, "parameter")
     what = f"derivative of {words} in a parameter, all others held"
     return {
         "parameter": variable("parameter", np.array(sensitivities.names), "parameter of the flow"),

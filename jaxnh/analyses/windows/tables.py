@@ -30,6 +30,7 @@ _NO_CRISIS = (
     "leave the bands, or one at once, from the limit to three times as far beyond as the first doubling is before it"
 )
 _DIGITS = 9  # behind the point, in the table
+_DERIVED = ("begin", "end", "limit")  # whose derivatives stand in the table
 _WORDS = ("fold", "branch point", "range", "not located", "torus", "doubling")
 
 
@@ -143,9 +144,9 @@ def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) ->
         row = data.isel(window=k)
         ends = (cell for name in ("begin", "end") for cell in (_format(row, name), _WORDS[int(row[f"{name}_kind"])]))
         orbits, last = int(row["orbits"]), (_format(row, name) for name in ("limit", "crisis"))
-        rates = (cell for name in ("begin", "end") for cell in sensitivity_cells(data, name, k))
+        rates = (cell for name in _DERIVED for cell in sensitivity_cells(data, name, k))
         rows.append((f"{int(row['period'])}{f' ×{orbits}' if orbits > 1 else ''}", *ends, *last, *rates))
-    derived = (head for name in ("begin", "end") for head in sensitivity_heads(data, name))
+    derived = (head for name in _DERIVED for head in sensitivity_heads(data, name))
     heads = ("period", "from", "", "to", "", "limit", "crisis", *derived)
     lane = f"one lane of {float(data['spacing']):.3g}"
     words = f"windows of periods up to {data.attrs['max_period']} wider than {lane}"

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.cascade.cascade_sensitivities import cascade_sensitivities
 from jaxnh.analyses.cascade.follow import follow_line
 from jaxnh.analyses.cascade.limits import doublings_limit
 from jaxnh.analyses.cascade.plateaus import PeriodScan
@@ -27,7 +28,7 @@ from jaxnh.analyses.crises.band_phase import embed_points
 from jaxnh.analyses.options.orbits import WindowsOptions
 from jaxnh.analyses.periodic.attractor_survey import periods_in_motion, survey_from_start
 from jaxnh.analyses.periodic.location import LocatedDoubling, price_of_orbits, refined_maps, walk
-from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, bifurcation_sensitivities
+from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, Sensitivities, bifurcation_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import absent_words, sensitivity_variables
 from jaxnh.analyses.section_points import points_after
 from jaxnh.analyses.windows.crisis import locate_crisis
@@ -44,6 +45,13 @@ _REACH = 3.0  # distances from the first doubling to where they end that a crisi
 _OFF = 1e-7  # sizes: paths start so far from an orbit that repels
 _AWAY = 32  # turns of a path until it is all over the bands, from there
 _STEPS = StepControl(0.04)  # of the branch of that orbit
+_ENDS = ("begin", "end")
+_WORDS = {
+    "begin": "at the begin of the window",
+    "end": "at the end of the window",
+    "doubling": "at the doublings of the orbits",
+    "limit": "where the doublings accumulate",
+}
 _WORK = 3.0  # of a run, in those of settling: a guess
 
 
@@ -90,23 +98,37 @@ def run(options: WindowsOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         for group, limit in zip(windows, limits, strict=True)
     ]
     data = dataset(options.max_period, options.levels, batch, line, windows, doublings, limits, crises)
-    return _with_sensitivities(data, batch, lanes, [group[0] for group in windows]) if options.sensitivities else data
+    if not options.sensitivities:
+        return data
+    return _with_sensitivities(data, batch, lanes, [group[0] for group in windows], doublings)
 
 
-def _with_sensitivities(data: xr.Dataset, batch: LaneBatch, lanes: LaneRunner, windows: Sequence[Window]) -> xr.Dataset:
-    """Return the dataset with derivatives of both ends of all windows in the other parameters of the flow."""
-    axis, lines = batch.first_axis, dict.fromkeys(str(data.attrs.get("warnings", "")).splitlines())
-    for name in ("begin", "end"):
-        ends: list[End] = [getattr(window, name) for window in windows]
-        kinds = [KINDS.index(ENDS[end.kind]) if ENDS[end.kind] in KINDS else -1 for end in ends]
-        critical = [
-            CriticalOrbit(k, end.value, end.points, end.multipliers) for k, end in zip(kinds, ends, strict=True)
-        ]
-        derived = bifurcation_sensitivities(batch, lanes, critical)
-        words = f"{axis.long_name} at the {name} of the window"
-        data = data.assign(sensitivity_variables(derived, batch, "window", name, words, axis.units))
-        lines |= dict.fromkeys(absent_words("windows", derived).splitlines())
+def _with_sensitivities(
+    data: xr.Dataset,
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    windows: Sequence[Window],
+    doublings: Sequence[Sequence[LocatedDoubling]],
+) -> xr.Dataset:
+    """Return the dataset with derivatives of ends, doublings and limits in the other parameters of the flow."""
+    axis, count = batch.first_axis, data.sizes["level"]
+    derived = {name: _end_sensitivities(batch, lanes, [getattr(each, name) for each in windows]) for name in _ENDS}
+    derived["doubling"], derived["limit"] = cascade_sensitivities(batch, lanes, doublings, count)
+    lines = dict.fromkeys(str(data.attrs.get("warnings", "")).splitlines())
+    for name, rates in derived.items():
+        words = f"{axis.long_name} {_WORDS[name]}"
+        data = data.assign(
+            sensitivity_variables(rates, batch, tuple(map(str, data[name].dims)), name, words, axis.units)
+        )
+        lines |= dict.fromkeys(absent_words("windows", rates).splitlines())
     return data.assign_attrs({"warnings": "\n".join(lines)} if lines else {})
+
+
+def _end_sensitivities(batch: LaneBatch, lanes: LaneRunner, ends: Sequence[End]) -> Sensitivities:
+    """Return the derivatives of one end of all windows."""
+    kinds = [KINDS.index(ENDS[end.kind]) if ENDS[end.kind] in KINDS else -1 for end in ends]
+    critical = [CriticalOrbit(k, end.value, end.points, end.multipliers) for k, end in zip(kinds, ends, strict=True)]
+    return bifurcation_sensitivities(batch, lanes, critical)
 
 
 def _doublings(

@@ -26,6 +26,9 @@ _PLACES = np.array([1.0, 2.0, 3.0]) / 3.0
 _SIXTH = np.array([45.0, -9.0, 1.0]) / 20.0  # weights of f(x h) − f(−x h), times h
 _FOURTH = np.array([8.0, -1.0, 0.0]) / 4.0
 _ROUNDINGS = 8.0  # of a period of the map, whose operations are many
+_DRAWS, _WORSE = 8, 2.0  # draws of errors of one period, so many times as large
+_NEAR = 1e-4  # sizes: points beside an orbit, by which its matrices are seen to change
+_LEAST = 1e-6  # of the largest size: a coordinate that is zero has this one
 _ROUNDING = 8.0  # of a sixth-order difference, in that of its distance to the one of fourth order: 7.1
 
 
@@ -52,6 +55,7 @@ class OrbitMotion(NamedTuple):
         column: ∂P/∂q at each point, (n, d).
         column_error: error of `column`.
         points: du/dq, (n, d); not a number where the orbit has a multiplier one, zero where it is held.
+        points_error: error of `points`.
         blocks: dM/dq along the motion, (n, d, d).
         blocks_error: error of `blocks`.
         time: derivative of the time of return of each point, (n,); empty where it is not asked for.
@@ -61,6 +65,7 @@ class OrbitMotion(NamedTuple):
     column: Float[np.ndarray, "n d"]
     column_error: Float[np.ndarray, "n d"]
     points: Float[np.ndarray, "n d"]
+    points_error: Float[np.ndarray, "n d"]
     blocks: Float[np.ndarray, "n d d"]
     blocks_error: Float[np.ndarray, "n d d"]
     time: Float[np.ndarray, " n"] = np.zeros(0)
@@ -91,13 +96,20 @@ def orbit_motions(
     """
     isolated = [True] * len(orbits) if isolated is None else isolated
     at, cuts = np.concatenate(orbits), np.cumsum([len(orbit) for orbit in orbits])[:-1]
-    column, column_error = difference(lambda s: np.asarray(shifted(name, s, at).image), scale, wrap)
-    each = zip(blocks, np.split(column, cuts), isolated, strict=True)
-    moved = np.concatenate([_motion(block, part) if moves else np.zeros_like(part) for block, part, moves in each])
-    matrices = difference(lambda s: np.asarray(shifted(name, s, at + s * moved).monodromy), scale)
-    times = difference(lambda s: np.asarray(time(name, s, at + s * moved)), scale) if time else None
-    parts = [np.split(x, cuts) for x in (column, column_error, moved, *matrices, *(times or ()))]
-    return [OrbitMotion(*leaves) for leaves in zip(*parts, strict=True)]
+    column = difference(lambda s: np.asarray(shifted(name, s, at).image), scale, wrap)
+    each = zip(blocks, *(np.split(leaf, cuts) for leaf in column), isolated, strict=True)
+    held = [np.zeros((1 + _DRAWS, *orbit.shape)) for orbit in orbits]
+    draws = [_motions(block, *part) if moves else zero for (block, *part, moves), zero in zip(each, held, strict=True)]
+    moved, *errors = np.concatenate(draws, axis=1)
+    matrices, error = difference(lambda s: np.asarray(shifted(name, s, at + s * moved).monodromy), scale)
+    errors = np.array(errors)
+    error += error_along(lambda u: np.asarray(shifted(name, 0.0, u).monodromy), at, errors)
+    times = ()
+    if time:
+        rate, time_error = difference(lambda s: np.asarray(time(name, s, at + s * moved)), scale)
+        times = rate, time_error + error_along(lambda u: np.asarray(time(name, 0.0, u)), at, errors)
+    whole = (*column, moved, np.max(np.abs(errors), axis=0), matrices, error, *times)
+    return [OrbitMotion(*leaves) for leaves in zip(*(np.split(leaf, cuts) for leaf in whole), strict=True)]
 
 
 def multiplier_rate(
@@ -133,6 +145,14 @@ def time_rates(motions: Sequence[OrbitMotion]) -> tuple[Float[np.ndarray, " k"],
     return np.array([np.sum(motion.time) for motion in motions]), np.array([np.sum(m.time_error) for m in motions])
 
 
+def point_rates(
+    motions: Sequence[OrbitMotion],
+) -> list[tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]]:
+    """Return the derivative of each coordinate of an orbit's first point in each of k parameters, and errors."""
+    rates, errors = (np.array([getattr(each, name)[0] for each in motions]).T for name in ("points", "points_error"))
+    return list(zip(rates, errors, strict=True))
+
+
 def modulus_rates(
     blocks: Float[np.ndarray, "n d d"], motions: Sequence[OrbitMotion], multiplier: complex
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -151,13 +171,28 @@ def implicit_rates(
         return ratio, (errors[1:] + np.abs(ratio) * errors[0]) / np.abs(rates[0])
 
 
-def _motion(blocks: Float[np.ndarray, "n d d"], column: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
-    """Return du/dq around an orbit."""
+def _motions(
+    blocks: Float[np.ndarray, "n d d"], column: Float[np.ndarray, "n d"], error: Float[np.ndarray, "n d"]
+) -> Float[np.ndarray, "draws n d"]:
+    """Return du/dq around an orbit, and below it draws of its error: ∂P/∂q off by either sign, as if by chance."""
+    signs = np.random.default_rng(0).choice([-_WORSE, _WORSE], (_DRAWS, *error.shape))
     cycle = cyclic.eliminate(blocks, np.broadcast_to(-np.eye(blocks.shape[-1]), blocks.shape))
     try:
-        return cyclic.solve(cycle, -column)
+        return np.array([cyclic.solve(cycle, -right) for right in (column, *(signs * error))])
     except np.linalg.LinAlgError:
-        return np.full_like(column, np.nan)
+        return np.full((1 + _DRAWS, *column.shape), np.nan)
+
+
+def error_along(
+    function: Callable[[Float[np.ndarray, "points d"]], np.ndarray],
+    at: Float[np.ndarray, "points d"],
+    errors: Float[np.ndarray, "draws points d"],
+) -> Float[np.ndarray, "points ..."]:
+    """Return the largest change of numbers at points by errors of these, of first order; one digit is enough."""
+    largest = np.max(np.abs(at), axis=0)
+    size = _NEAR * (np.fmax(largest, _LEAST * largest.max()) if largest.any() else np.ones_like(largest))
+    slopes = [(function(at + step) - function(at - step)) / (2.0 * np.max(step)) for step in np.diag(size)]
+    return np.max(np.abs(np.einsum("jpk,kp...->jp...", errors, np.array(slopes))), axis=0)
 
 
 def _null_vectors(
