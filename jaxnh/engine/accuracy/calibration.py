@@ -188,17 +188,19 @@ class Calibration:
         jumps = isinstance(flow, PiecewiseSmooth) and flow.needs_events  # which those steps know nothing of
         return not (maps.adaptive or maps.scheme.smooth or jumps or self._precision != "float64")
 
-    def _pay(self, kicks: int, samples: Samples) -> None:
+    def _pay(self, kicks: int, samples: Samples, worst: int = -1) -> None:
         """Look whether so many evaluations of the field a period, of steps that all lanes share, are worth it.
+
+        They are in any case where the field jumps on the sample that errs most, whose number may be given.
 
         Raises:
             TooDearError: each lane's own steps do with far fewer.
         """
-        maps = self._maps
-        free = self._at_any_price or not self._target or maps.parts > 1
-        if kicks < _DEAR or free or not self._has_own_steps(maps):
+        free = self._at_any_price or not self._target or self._maps.parts > 1
+        if kicks < _DEAR or free or not self._has_own_steps(self._maps):
             return
-        if kicks > _MARGIN * maps.evaluations_of_own_steps(samples, _NEAR_TARGET * self._target):
+        fewer = self._maps.evaluations_of_own_steps(samples, _NEAR_TARGET * self._target)
+        if kicks > _MARGIN * fewer and not (worst >= 0 and self._jumps_at(worst)):
             raise TooDearError
 
     def _jumps_at(self, sample: int) -> bool:

@@ -55,7 +55,7 @@ def refine_reference(
     sizes: Float[np.ndarray, " components"],
     target: float,
     largest_at: Callable[[Float[np.ndarray, " samples"]], int],
-    pay: Callable[[int, Samples], None],
+    pay: Callable[[int, Samples, int], None],
 ) -> Reference:
     """Refine the reference of each sample until rounding is all that is left, most of them a few times only.
 
@@ -66,7 +66,8 @@ def refine_reference(
     Args:
         target: the only one that will be asked for, as far as which references are refined; 0 where any may be.
         largest_at: the sample whose distance counts, of those of all samples.
-        pay: called before each refinement with the evaluations of the field a period; may raise `TooDearError`.
+        pay: called before each refinement with the evaluations of the field a period, the samples, and the number of
+            that which errs most; may raise `TooDearError`.
     """
     solver, steps, near = maps.scheme.reference, REFERENCE_STEPS, max(_ROUNDING, _NEAR * target)
     order, unresolved = 0.0, False  # not known yet
@@ -82,7 +83,7 @@ def refine_reference(
         if not len(active) or gaps[worst] <= near:
             break
         kicks = steps * solver.stages
-        pay(kicks, samples)
+        pay(kicks, samples, worst)
         if target and kicks > _SUSPECT and gaps[worst] > _ROUGH and not maps.scheme.smooth:
             sample = samples.take_lanes(np.array([worst]))
             order = order or order_on_motion(maps, sample)
