@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import os
@@ -87,6 +88,7 @@ def run_app(app: typer.Typer) -> int:
         0 done, 2 bad input, 75 stopped and ready to go on, 130 interrupted with nothing kept, 1 any other failure.
     """
     gc.set_threshold(_ALLOCATIONS)
+    atexit.register(gc.freeze)  # else the interpreter looks through all there is, before it ends, for a second
     try:
         code = app(standalone_mode=False)  # a number where typer itself ended the run, as after Control-C
         if isinstance(code, int) and code:
