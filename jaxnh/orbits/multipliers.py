@@ -101,16 +101,17 @@ def _last_turn(blocks: Float[np.ndarray, "lanes n d d"]) -> tuple[np.ndarray, np
 
 def _last_turn_of_lane(blocks: Float[np.ndarray, "n d d"]) -> tuple[np.ndarray, np.ndarray]:
     """`_last_turn` of one lane, (d, d) each, of matrices that need not be stacked."""
-    from scipy.linalg import lapack  # here, as it takes a tenth of a second to import
+    # Here, as it takes a tenth of a second to import.
+    from scipy.linalg.lapack import dgeqrf, dorgqr  # pyright: ignore[reportAttributeAccessIssue]
 
     identity = np.eye(blocks.shape[-1])
     basis = start = product = identity
     for turn in range(_TURNS):
         start, counts = basis, turn == _TURNS - 1
         for block in blocks:
-            factors, scales, *_ = lapack.dgeqrf(block @ basis)
+            factors, scales, *_ = dgeqrf(block @ basis)
             product = np.triu(factors) @ product if counts else product
-            basis = lapack.dorgqr(factors, scales)[0]
+            basis = dorgqr(factors, scales)[0]
     return start.T @ basis, product
 
 
