@@ -139,14 +139,6 @@ def attractors_group(
         if judged is None
         else (judged.kind, judged.period, judged.exponent, judged.multiplier)
     )
-    on_each, count = hits
-    low, high = wilson(on_each, count[:, None])
-    fraction = {"fraction": on_each / count[:, None], "fraction_low": low, "fraction_high": high}
-    words = {
-        "fraction": "share of the start states in its basin",
-        "fraction_low": "lower bound of the share at 95 %",
-        "fraction_high": "upper bound of the share at 95 %",
-    }
     of_number = "number of the attractor, by size of its basin" + (" over all values" if axes else "")
     of_exponent = "largest Lyapunov exponent, without a clock that along the flow left out"
     of_multiplier = "largest modulus of the Floquet multipliers of a periodic orbit"
@@ -158,7 +150,7 @@ def attractors_group(
         ),
         "exponent": variable(dims, table(exponent, np.nan), of_exponent, **rate_attrs(batch.flow)),
         "multiplier": variable(dims, table(multiplier, np.nan), of_multiplier),
-        **{name: variable(dims, v.reshape(*sizes, most), words[name]) for name, v in fraction.items()},
+        **_fractions(hits, dims, (*sizes, most)),
     }
     several = sum(name.endswith("_points") for name in known.coordinates)
     points = min(POINTS, max(1, _MOST_NUMBERS // max(1, several * math.prod(sizes) * most)))
@@ -176,6 +168,18 @@ def attractors_group(
         variables |= _changes(known.changes, axes, sizes)
     warnings = "\n".join(dict.fromkeys(filter(None, (absent_words("basins", each) for each in derived.values()))))
     return xr.Dataset(variables, attrs={"warnings": warnings} if warnings else {})
+
+
+def _fractions(hits: tuple[np.ndarray, np.ndarray], dims: tuple[str, ...], shape: tuple[int, ...]) -> dict[str, Entry]:
+    """Return shares of the start states in basins, and their bounds."""
+    on_each, count = hits
+    low, high = wilson(on_each, count[:, None])
+    parts = {
+        "fraction": (on_each / count[:, None], "share of the start states in its basin"),
+        "fraction_low": (low, "lower bound of the share at 95 %"),
+        "fraction_high": (high, "upper bound of the share at 95 %"),
+    }
+    return {name: variable(dims, values.reshape(shape), words) for name, (values, words) in parts.items()}
 
 
 def _changes(changes: Sequence[Change], axes: Sequence[Axis], sizes: tuple[int, ...]) -> dict[str, Entry]:
