@@ -63,7 +63,7 @@ def take_samples(
     maps: SampleMaps,
     rows: Sequence[SweepPoints],
     given: Mapping[str, float],
-    pay: Callable[[int, Samples], None] = lambda _, __: None,
+    pay: Callable[[int, Samples], None],
 ) -> SamplePaths:
     """Return states across a sweep from the start towards the attractor: those whose periods err most, and some of all.
 
