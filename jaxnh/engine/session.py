@@ -189,7 +189,7 @@ class Session:
 
         Returns:
             The dataset, with the axes as dimensions in the order of the experiment, then of the call. Its `warnings`,
-            as of lanes that have failed or of a search that found nothing, are each a `JaxnhWarning` too.
+            as of lanes that have failed or of a search without a result, are each a `JaxnhWarning` too.
 
         Raises:
             InputError: there is no such analysis, option, parameter or coordinate, or they do not go together.

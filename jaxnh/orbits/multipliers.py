@@ -37,7 +37,7 @@ def multipliers(blocks: Float[np.ndarray, "... n d d"]) -> Complex[np.ndarray, "
 def eigenvalues(matrices: Float[np.ndarray, "lanes d d"]) -> Complex[np.ndarray, "lanes d"]:
     """Eigenvalues of small matrices, in no order, not a number where one of them is not finite.
 
-    Those of many are found by all cores, with the same bits.
+    All cores compute those of many, with the same bits.
     """
     finite = np.all(np.isfinite(matrices), axis=(1, 2))
     if not finite.all():

@@ -1,4 +1,4 @@
-"""Where the equations of a mechanical system lose their rank, in words: "" where they do not, and of other flows."""
+"""The place where the equations of a mechanical system lose rank, in words: "" where they do not, and of other flows."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class Labels(NamedTuple):
 
 
 class Readout(abc.ABC):
-    """How results have the states of a flow.
+    """Form of the states of a flow in results.
 
     Attributes:
         contraction: symbols for the mean contraction of volume, where maps give it at no cost and twice of it acts off

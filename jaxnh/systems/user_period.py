@@ -1,4 +1,4 @@
-"""Whether a user's equations are the same a period later: they are compared at random states and times."""
+"""Check that a user's equations are the same a period later: comparison at random states and times."""
 
 from __future__ import annotations
 

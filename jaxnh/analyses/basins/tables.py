@@ -132,13 +132,7 @@ def attractors_group(
         places = RowPlaces((math.prod(sizes), most), (known.point, known.number - 1))
         return places.put(values, empty, values.dtype).reshape(*sizes, most, *values.shape[1:])
 
-    nothing = np.zeros(0)
-    judged = known.judged
-    kind, period, exponent, multiplier = (
-        (nothing.astype(np.int8), nothing.astype(np.int64), nothing, nothing)
-        if judged is None
-        else (judged.kind, judged.period, judged.exponent, judged.multiplier)
-    )
+    kind, period, exponent, multiplier = _numbers_of(known)
     of_number = "number of the attractor, by size of its basin" + (" over all values" if axes else "")
     of_exponent = "largest Lyapunov exponent, without a clock that along the flow left out"
     of_multiplier = "largest modulus of the Floquet multipliers of a periodic orbit"
@@ -159,15 +153,22 @@ def attractors_group(
         said = f"{output.long_name} of {'points' if every else 'a point'} of the attractor"
         values = output.data[:, :points] if every else output.data
         variables[name] = variable((*dims, "point") if every else dims, table(values, np.nan), said, **output.attrs)
-    for name, rates in derived.items():
-        whole = rates._replace(rates=table(rates.rates, np.nan), errors=table(rates.errors, np.nan))
+    for name, each in derived.items():
+        whole = each._replace(rates=table(each.rates, np.nan), errors=table(each.errors, np.nan))
         attrs = variables[name][2]
-        words, units = str(attrs["long_name"]), str(attrs.get("units", UNSAID))
-        variables |= sensitivity_variables(whole, batch, dims, name, words, units)
+        units = str(attrs.get("units", UNSAID))
+        variables |= sensitivity_variables(whole, batch, dims, name, str(attrs["long_name"]), units)
     if math.prod(sizes) > 1:
         variables |= _changes(known.changes, axes, sizes)
     warnings = "\n".join(dict.fromkeys(filter(None, (absent_words("basins", each) for each in derived.values()))))
     return xr.Dataset(variables, attrs={"warnings": warnings} if warnings else {})
+
+
+def _numbers_of(known: SweepAttractors) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return kinds, periods, exponents and multipliers of all attractors, (attractors,) each."""
+    if known.judged is None:
+        return np.zeros(0, np.int8), np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+    return known.judged.kind, known.judged.period, known.judged.exponent, known.judged.multiplier
 
 
 def _fractions(hits: tuple[np.ndarray, np.ndarray], dims: tuple[str, ...], shape: tuple[int, ...]) -> dict[str, Entry]:

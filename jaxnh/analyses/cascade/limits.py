@@ -136,13 +136,13 @@ def limit_rates(
         values, errors: as of `doublings_limit`.
         rates, rate_errors: derivatives of the doublings, and their errors.
     """
-    levels, found = _levels_seen(values, errors), np.full((2, rates.shape[1]), np.nan)
+    levels, limits = _levels_seen(values, errors), np.full((2, rates.shape[1]), np.nan)
     if levels < 4:
-        return found[0], found[1]
+        return limits[0], limits[1]
     nodes = _doublings_nodes(values[:levels], errors[:levels])
     for k in np.flatnonzero(np.isfinite(rates[:levels] + rate_errors[:levels]).all(axis=0)):
-        found[:, k] = _limit_rate(nodes, rates[:levels, k], rate_errors[:levels, k])
-    return found[0], found[1]
+        limits[:, k] = _limit_rate(nodes, rates[:levels, k], rate_errors[:levels, k])
+    return limits[0], limits[1]
 
 
 def _levels_seen(values: Float[np.ndarray, " levels"], errors: Float[np.ndarray, " levels"]) -> int:

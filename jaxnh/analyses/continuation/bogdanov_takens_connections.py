@@ -54,7 +54,7 @@ class BogdanovTakensStart(NamedTuple):
     tried: str
 
     def vanishing(self) -> VanishingPoint:
-        """What ends curves here; of a point without an orbit nothing does."""
+        """The ending of curves at the point; of one without an orbit, one that no curve comes to."""
         if self.orbit is None:
             return VanishingPoint(self.state, np.zeros_like(self.state))
         return VanishingPoint(self.state, _VANISHED * np.abs(self.orbit.solution.path.ends[0] - self.state).max(axis=0))

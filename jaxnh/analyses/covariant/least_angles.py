@@ -148,7 +148,7 @@ def least_angles(
     neutral: int,
     rounds: int,
 ) -> LeastAngles:
-    """Return the smallest angles that are found between the first vectors and the others.
+    """Return the smallest angles between the first vectors and the others.
 
     Args:
         small: angles below which signs tell a tangency, (lanes,).

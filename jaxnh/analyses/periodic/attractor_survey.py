@@ -65,7 +65,7 @@ class Survey(NamedTuple):
 
     @property
     def failed(self) -> Bool[np.ndarray, " lanes"]:
-        """Whether the state of the lane is not finite, (lanes,)."""
+        """Lanes whose state is not finite, (lanes,)."""
         return self.status > 0
 
 

@@ -207,7 +207,7 @@ def is_on_branch(family: Family, branch: TorusBranch, torus: Torus) -> bool:
 
 
 def _invariants(family: Family, torus: Torus) -> Float[np.ndarray, " 1+2d"]:
-    """What a torus has whatever its phase and sense: the rotation number, the mean and the extent of its curve.
+    """Invariants of a torus under changes of phase and sense: its rotation number, the mean and extent of its curve.
 
     Of a coordinate that winds the mean is the phase, and is left out.
     """

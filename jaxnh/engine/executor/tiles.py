@@ -63,7 +63,7 @@ class Tiles(Protocol):
 
 
 class _PreparedCall(NamedTuple):
-    """What calls with the same function and shared arguments need again.
+    """Parts that calls with the same function and shared arguments have in common.
 
     Attributes:
         shared: the arguments, kept so that no others have their addresses.

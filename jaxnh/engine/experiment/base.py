@@ -1,4 +1,4 @@
-"""What experiments of all systems share: how they are made, their flow, start states and axes, and their hash.
+"""Base of the experiments of all systems: making, flow, start states and axes, and their hash.
 
 Keys of a config, and all checks that need no JAX, are in `config`.
 """
@@ -185,7 +185,7 @@ class Experiment(Config, frozen=True):
         raise NotImplementedError
 
     def _on_section(self, flow: Flow) -> Section:
-        """That section of a flow."""
+        """The section of a flow that is asked for."""
         raise NotImplementedError
 
     @property

@@ -123,7 +123,7 @@ def _left_vectors(
 def _rounding(
     family: Family, blocks: np.ndarray, q: np.ndarray, z: Complex[np.ndarray, " some"], real: bool
 ) -> Float[np.ndarray, " some"]:
-    """What rounding of ∂P/∂u makes of a coefficient by C, a difference over h²: four roundings, and 4/3 of that."""
+    """Error of a coefficient by C from rounding of ∂P/∂u, a difference over h²: four roundings, and 4/3 of that."""
     left, largest = _left_vectors(family, blocks, q, z, real), np.maximum(1.0, np.abs(blocks).max(axis=(2, 3)))
     each = np.abs(left).sum(axis=2) * largest * np.abs(q).sum(axis=2)
     unit = _ROUNDINGS * np.finfo(float).eps / _SHIFT**2

@@ -250,7 +250,7 @@ class _Chord:
         return self._first + bent + off[:, None] * self._normal
 
     def _interpolated(self, share: float) -> Float[np.ndarray, "1 N"] | float:
-        """What points are off the cubic by, over s²(1 − s)², by the polynomial through the nearest that are known."""
+        """Distances of points from the cubic, over s²(1 − s)², by the polynomial through the nearest that are known."""
         nearest = list[float]()
         for other in sorted(self._off_cubic, key=lambda other: abs(other - share)):
             if len(nearest) < _NEAREST and all(abs(other - s) > _APART for s in nearest):

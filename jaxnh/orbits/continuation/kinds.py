@@ -86,7 +86,7 @@ def stable(family: Family, values: Complex[np.ndarray, "... d"]) -> np.ndarray:
 def stability(
     family: Family, values: Complex[np.ndarray, "... d"], errors: Float[np.ndarray, "... d"] | None = None
 ) -> Int[np.ndarray, ...]:
-    """Whether orbits attract, numbers in `STABILITIES`, with errors of the multipliers of a map where there are."""
+    """Stability of orbits, numbers in `STABILITIES`, with errors of the multipliers of a map where there are."""
     if errors is None:
         return stable(family, values).astype(int)
     sizes = np.abs(values)
