@@ -1,4 +1,4 @@
-"""The place where the equations of a mechanical system lose rank, in words: "" where they do not, and of other flows."""
+"""Loss of rank by the equations of a mechanical system, in words: "" where there is none, and of other flows."""
 
 from __future__ import annotations
 
