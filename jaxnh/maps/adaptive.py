@@ -215,15 +215,22 @@ class AdaptiveStrobe(ReturnMap):
 
 def adaptive_strobe(system: Flow, solver: AdaptiveMethod, steps: int, span: tuple[float, float]) -> AdaptiveStrobe:
     """The map over a span of time, as fine as so many steps of a calm period."""
-    longest = _LONGEST * system.period / steps
-    return AdaptiveStrobe(system, solver, span[0], span[1] - span[0], solver.tolerance(steps), longest)
+    pair, tolerance, longest = _as_steps(system, solver, steps)
+    return AdaptiveStrobe(system, pair, span[0], span[1] - span[0], tolerance, longest)
 
 
 def adaptive_parts(system: Flow, solver: AdaptiveMethod, steps: int, ends: np.ndarray) -> AdaptiveStrobe:
     """The maps from each of some times (parts + 1,) to the next, stacked, as fine as so many steps of a calm period."""
     parts = (len(ends) - 1,)
-    tolerance, longest = np.full(parts, solver.tolerance(steps)), np.full(parts, _LONGEST * system.period / steps)
-    return AdaptiveStrobe(stack_leaves(system, parts), solver, ends[:-1], np.diff(ends), tolerance, longest)
+    pair, tolerance, longest = _as_steps(system, solver, steps)
+    shared = np.full(parts, tolerance), np.full(parts, longest)
+    return AdaptiveStrobe(stack_leaves(system, parts), pair, ends[:-1], np.diff(ends), *shared)
+
+
+def _as_steps(system: Flow, solver: AdaptiveMethod, steps: int) -> tuple[AdaptiveMethod, float, float]:
+    """The pair, which is the same however fine steps are, the error of one, and the longest."""
+    longest = system.period * min(_LONGEST / steps, 1.0 / solver.least)
+    return solver.with_least(1), solver.tolerance(steps), longest
 
 
 def count_trials(strobe: AdaptiveStrobe, state: State, p: Parameters) -> Array:

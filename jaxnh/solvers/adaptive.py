@@ -18,10 +18,12 @@ class AdaptiveMethod(eqx.Module):
     Attributes:
         pair: the method of a step.
         name: name in configs and result files.
+        least: steps a period, or unit of time, that every motion has, however calm: tangents along it may need them.
     """
 
     pair: Rosenbrock | WrittenOutRungeKutta = eqx.field(static=True)
     name: str = eqx.field(static=True)
+    least: int = eqx.field(static=True, default=1)
 
     @property
     def source(self) -> str:
@@ -42,6 +44,10 @@ class AdaptiveMethod(eqx.Module):
     def processor(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """None: steps alone have the order of the method."""
         return (0.0,), ()
+
+    def with_least(self, steps: int) -> AdaptiveMethod:
+        """The same method with so many steps a period at least."""
+        return AdaptiveMethod(self.pair, self.name, steps)
 
     def most_steps(self, fields: int) -> int:
         """Steps of a map with so many evaluations of the field at most; with more, estimates are of rounding."""

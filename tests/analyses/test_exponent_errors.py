@@ -86,7 +86,7 @@ def test_a_sum_rule_that_contradicts():
     error = np.array([[1e-3, 2e-3], [1e-3, 2e-3], [1e-2, 2e-3], [1e-3, 2e-3]])
     residual = np.array([2.9e-3, -2.8e-2, 5e-3, np.nan])
     expected = np.array([[1e-3, 2e-3], [2.8e-2, 2.8e-2], [1e-2, 2e-3], [1e-3, 2e-3]])
-    np.testing.assert_array_equal(widen_to_sum_rule(error, residual), expected)
+    np.testing.assert_array_equal(widen_to_sum_rule(error, residual, np.zeros(len(residual))), expected)
 
 
 def uncovered(growth, truth, before=32):

@@ -201,7 +201,7 @@ def widen_to_zero(average: Average, before: float, length: float) -> Average:
 
 
 def widen_to_sum_rule(
-    error: Float[np.ndarray, "lanes k"], residual: Float[np.ndarray, " lanes"]
+    error: Float[np.ndarray, "lanes k"], residual: Float[np.ndarray, " lanes"], rounding: Float[np.ndarray, " lanes"]
 ) -> Float[np.ndarray, "lanes k"]:
     """Return errors of all exponents of averages, at least the residual of their sum rule where they contradict it.
 
@@ -210,10 +210,11 @@ def widen_to_sum_rule(
     has it.
 
     Args:
-        residual: sum of the growths less the mean divergence.
+        residual: sum of the growths less the mean divergence; NaN where there is no such check.
+        rounding: what it leaves in the sums that these are means of.
     """
     wrong = np.abs(residual) > np.sum(error, axis=1)
-    return np.where(wrong[:, None], np.maximum(error, np.abs(residual)[:, None]), error)
+    return np.where(wrong[:, None], np.maximum(error, (np.abs(residual) + rounding)[:, None]), error)
 
 
 def unseen_bursts(rates: Float[np.ndarray, "lanes blocks sums"], length: float) -> Float[np.ndarray, " lanes"]:

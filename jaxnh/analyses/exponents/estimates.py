@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents.errors import Average, average_blocks, average_windows, widen_by_drift, widen_unsettled
 from jaxnh.analyses.exponents.from_orbits import OrbitExponents
-from jaxnh.analyses.exponents.tangent_growth import TangentState
+from jaxnh.analyses.exponents.tangent_growth import LARGEST_SEEN, TangentState
 from jaxnh.systems.lagrangian import Lagrangian
 from jaxnh.systems.level import constraint_gradients, log_area
 from jaxnh.systems.state import LaneStates
@@ -30,6 +30,7 @@ class Averages(NamedTuple):
         rates: growth a period in every block that was run: of the flow's direction without a clock, of each tangent,
             of volume, and of volume by quadrature, (lanes, blocks, sums).
         smooth: what `smooth_parts` gives of the whole, without the last sum, (lanes, parts, sums).
+        loss: of the flow's direction without a clock and of each tangent, as in `TangentState`, (lanes, sums).
         blocks: number of blocks that were run, (lanes,).
         settled: exponents of the lanes that were on orbits by the end of the first block, which needed no others.
     """
@@ -38,6 +39,7 @@ class Averages(NamedTuple):
     growth: TangentState
     rates: Float[np.ndarray, "lanes blocks sums"]
     smooth: Float[np.ndarray, "lanes parts sums"]
+    loss: Float[np.ndarray, "lanes sums"]
     blocks: Int[np.ndarray, " lanes"]
     settled: OrbitExponents
 
@@ -102,6 +104,37 @@ def exponent_sum(
         windows = widen_unsettled(windows, averages.rates[smooth, :, k : k + 1], transient + length)
         total[smooth], error[smooth] = windows.mean[:, 0], windows.error[:, 0]
     return Average(total, error + step_error(batch))
+
+
+def lost_tangents(averages: Averages, spectrum: Spectrum) -> Bool[np.ndarray, "lanes sums"]:
+    """Return which exponents are averages of tangents that were lost in others between orthonormalisations.
+
+    A tangent that contracts by more than rounding leaves of it grows like what rounding adds to it.
+    """
+    averaged = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
+    return (averages.loss > LARGEST_SEEN) & averaged[:, None] & np.isfinite(spectrum.mean)
+
+
+def know_lost(
+    mean: Float[np.ndarray, "lanes sums"],
+    error: Float[np.ndarray, "lanes sums"],
+    lost: Bool[np.ndarray, "lanes sums"],
+    by_sum: Bool[np.ndarray, " lanes"],
+    total: Average | None,
+) -> None:
+    """Set the exponents of lost tangents, or the errors of those that are not known, in place.
+
+    Volume knows a smallest one, which is the sum of all less the others.
+
+    Args:
+        mean, error: exponents, that along the flow known.
+        by_sum: where only the smallest is lost, and the sum is known.
+        total: sum of all exponents, where all are asked for.
+    """
+    error[lost] = np.inf
+    if total:
+        mean[by_sum, -1] = total.mean[by_sum] - mean[by_sum, :-1].sum(axis=1)
+        error[by_sum, -1] = total.error[by_sum] + error[by_sum, :-1].sum(axis=1)
 
 
 def area_growth(batch: LaneBatch, lanes: LaneRunner, averages: Averages) -> Float[np.ndarray, " lanes"]:

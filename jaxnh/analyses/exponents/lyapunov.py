@@ -13,7 +13,6 @@ tangents are those across it, one fewer, and no section is needed.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -44,7 +43,7 @@ from jaxnh.analyses.exponents.estimates import (
     widen_plain_by_drift,
 )
 from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
-from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refinement_needed
+from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refine, refinement_needed
 from jaxnh.analyses.exponents.tables import dataset
 from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
@@ -96,6 +95,10 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     if parts == k == 1:
         return {"parts": 1}
     refinement = refinement_needed(batch, lanes, growth, parts)
+    if refinement > 1:  # steps that do not follow tangents do not show how fast these are lost in another either
+        fine, growth = parts_needed(refine(batch, parts, refinement), lanes, k)
+        if fine > parts:
+            parts, refinement = fine, refinement_needed(batch, lanes, growth, fine)
     return {"parts": parts} | ({"refinement": refinement} if refinement > 1 else {})
 
 
@@ -104,7 +107,7 @@ def run(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     batch = batch.without_section()
     chosen = batch.chosen.get("lyapunov") or choose(options, batch, lanes)
     parts, refinement = chosen["parts"], chosen.get("refinement", 1)
-    batch = replace(batch, steps=refinement * batch.steps)
+    batch = refine(batch, parts, refinement)
     blocks = averages(options, batch, lanes, parts)
     exponents, area, total = spectrum(options, batch, lanes, blocks, parts), np.zeros(batch.count), None
     if every_exponent(options, batch):
@@ -144,6 +147,7 @@ def averages(
     start = jax.tree.map(np.array, growth.state)
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
     smooth = np.zeros((count, 3 + DEGREE, lead + k + 1))
+    loss = np.zeros((count, lead + k))
     done = np.zeros(count, int)
     running = np.arange(count)
     settled = no_orbits(lead + k)
@@ -155,6 +159,7 @@ def averages(
             for number, (after, rate) in zip(stretch, in_turn, strict=True):
                 rates[rows, number] = rate
                 smooth[rows] += smooth_parts(after, block, number)
+                loss[rows] = np.maximum(loss[rows], np.stack(after.loss, axis=-1))
             _write_lanes(growth, running, in_turn[-1][0])
             done[running] += len(stretch)
             if i == 0 and not to_the_end and _has_orbits(options, batch):
@@ -171,7 +176,7 @@ def averages(
                 running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
-    return Averages(start, growth, rates, smooth, done, settled)
+    return Averages(start, growth, rates, smooth, loss, done, settled)
 
 
 def _stretches(options: LyapunovOptions) -> list[range]:

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.exponents.tangent_growth import LARGEST_LOSS, TangentState, average, begin, cut_period, split_stack
+from jaxnh.analyses.exponents.tangent_growth import (
+    LARGEST_LOSS,
+    LARGEST_SEEN,
+    TangentState,
+    average,
+    begin,
+    cut_period,
+    split_stack,
+)
 from jaxnh.maps.protocol import ReturnMap
+from jaxnh.solvers import AdaptiveMethod
 from jaxnh.systems.state import is_finite
 
-_LARGEST_SEEN = 24.0  # beyond that a loss drowns in rounding
 _MOST_PARTS = 1024
 _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _TANGENT_ERROR = 1e-4  # of the logarithm of a tangent's growth a period, and of its modulus where that is above one
@@ -34,7 +43,7 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
     their start.
     """
     few = _pilots(batch)
-    parts, seen = (_PILOT_PARTS, _LARGEST_SEEN) if k > 1 else (1, LARGEST_LOSS)  # in a whole period more drowns
+    parts, seen = (_PILOT_PARTS, LARGEST_SEEN) if k > 1 else (1, LARGEST_LOSS)  # in a whole period more drowns
     first = None
     while True:
         state, p = few.lanes
@@ -46,7 +55,8 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
         loss, underflows = 0.0, False
         for strobe in split_stack(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):
             growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
-            loss = float(np.max(growth.loss, initial=loss, where=np.isfinite(growth.loss)))
+            last = growth.loss[-1]
+            loss = float(np.max(last, initial=loss, where=np.isfinite(last)))
             underflows |= bool(np.any(np.isnan(growth.logs) & is_finite(growth.state)))
         first = first or (parts, loss)
         if (loss < seen and not underflows) or parts == _MOST_PARTS:
@@ -55,6 +65,17 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
     if underflows:  # however short the parts: tangents of a lane at rest have no direction across the flow
         parts, loss = first
     return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
+
+
+def refine(batch: LaneBatch, parts: int, refinement: int) -> LaneBatch:
+    """Return lanes with the steps that `refinement_needed` asks for between orthonormalisations.
+
+    Where each lane has steps of its own, what follows the tangents is that each part is cut into so many at least.
+    """
+    solver = batch.solver
+    if refinement > 1 and isinstance(solver, AdaptiveMethod):
+        solver = solver.with_least(refinement * parts)
+    return replace(batch, solver=solver, steps=refinement * batch.steps)
 
 
 def refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState, parts: int) -> int:

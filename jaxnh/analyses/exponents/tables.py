@@ -13,7 +13,7 @@ from jaxnh.analyses.base import LANE, Entry, as_variable, flag, variable
 from jaxnh.analyses.batch import LaneBatch, iterate_units, rate_attrs
 from jaxnh.analyses.exponents.dimension import kaplan_yorke, kaplan_yorke_error
 from jaxnh.analyses.exponents.errors import Average, widen_to_sum_rule
-from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum
+from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum, know_lost, lost_tangents
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.maps.section import reports
@@ -21,13 +21,15 @@ from jaxnh.systems.readout import status
 from jaxnh.systems.status import NOT_FINITE
 
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
+_MOST_PARTS = 1024  # of a period, between which growth is summed
 _SLOWS = -1.0  # of the same, where it falls in each block: the motion comes to rest slowly; where it rises so, grows
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
     "the whole, and twice what twice the steps change; of both, up to zero where a finite window leaves that open, as "
     "much as a drift that slows down may still come to, infinite where one does not slow down, the change itself where "
-    "the steps account for it, and at least the residual of the sum rule where that contradicts them; of an orbit: "
+    "the steps account for it, and at least the residual of the sum rule where that contradicts them; of a smallest "
+    "exponent whose tangent was lost in others, which is the sum of all less these: their errors; of an orbit: "
     "twice what twice the steps change in its multipliers; of an equilibrium: twice what a last step of Newton changes "
     "in its eigenvalues, and what rounding may"
 )
@@ -51,18 +53,23 @@ def dataset(
     mean, error = spectrum.mean / period, spectrum.error / period
     averaged = averages.blocks * (options.periods // BLOCKS)
     volume, sums = _volume_and_sums(averages, k, period)
-    residual = None
+    residual, lost, by_sum = None, lost_tangents(averages, spectrum), np.zeros(len(mean), bool)
     if total:
         # At rest the flow has no direction once its rate has come down to rounding.
         sums = np.where(spectrum.source == SOURCES.index("equilibrium"), mean.sum(axis=1), sums)
         with np.errstate(invalid="ignore"):  # both are minus infinity where a map has a multiplier zero
-            residual = sums - volume[:, 1 if batch.flow.readout.contraction else 0] - area / averaged / period
+            mean_divergence = volume[:, 1 if batch.flow.readout.contraction else 0]
+            residual = sums - mean_divergence - area / averaged / period
+        by_sum = lost[:, -1] & ~np.any(lost[:, :-1], axis=1) & np.isfinite(total.mean)
+        residual = np.where(by_sum, np.nan, residual)
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
-        error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average])
+        rounding = np.finfo(float).eps * np.sqrt(_MOST_PARTS * averaged) * np.abs(mean_divergence)
+        error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average], rounding[of_average])
     attrs: dict[str, Any] = {}
     if batch.flow.autonomous:
         _know_along_flow(mean, error, averages, spectrum, averaged)
         attrs["along_flow"] = "the exponent along the flow is known to be zero"
+    know_lost(mean, error, lost, by_sum, total and Average(total.mean / period, total.error / period))
     order = np.argsort(-mean, axis=1)[:, : min(options.exponents, k)]
     exponents, errors = np.take_along_axis(mean, order, axis=1), np.take_along_axis(error, order, axis=1)
     variables = _exponents(batch, spectrum.source, exponents, errors, _reasons(batch, averages, spectrum, exponents))

@@ -28,7 +28,7 @@ from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.maps.section import rates
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
-from jaxnh.solvers import SPLITTINGS
+from jaxnh.solvers import SPLITTINGS, AdaptiveMethod
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import LaneStates, State, Vector, is_finite
@@ -39,6 +39,9 @@ _WRITTEN_OUT = 6  # vectors orthonormalised by written-out equations: of ten the
 _LOST = 1e-9  # of a tangent's length, left across the others: rank is lost, where maps say that some is
 LARGEST_LOSS = 18.0
 """A tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left."""
+
+LARGEST_SEEN = 24.0
+"""Beyond e^−24 a tangent drowns in the rounding of the others, and its growth is theirs."""
 
 _AS_LOSS = LARGEST_LOSS / 300.0  # of a logarithm of growth: the square of e^354 is no number
 _ITERATES = 8  # of a map, at most, that have one weight in the sums that tell a drift
@@ -55,8 +58,8 @@ class TangentState(NamedTuple):
         volume: sum of the logarithms of the growth of volume.
         divergence: integral of the flow's divergence by quadrature, zero where it is not asked for.
         smooth: the sums of logs and volume, over periods under the weights of `moment_weights`, as tuples.
-        loss: largest logarithm by which the last tangent shrank against the first in one part of a period; as much as
-            `LARGEST_LOSS` where squares of tangents come near the ends of the range of numbers.
+        loss: of each of `logs`, the largest logarithm by which its tangent shrank against the first in one part of a
+            period; as much as `LARGEST_LOSS` where squares of tangents come near the ends of the range of numbers.
     """
 
     state: LaneStates
@@ -65,7 +68,7 @@ class TangentState(NamedTuple):
     volume: Array
     divergence: Array
     smooth: tuple[tuple[Array, ...], ...]
-    loss: Array
+    loss: tuple[Array, ...]
 
 
 class Quadrature(NamedTuple):
@@ -119,8 +122,10 @@ def period_parts(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
 
 def cut_period(batch: LaneBatch, parts: int, refinement: int = 1) -> ReturnMap:
     """Return the stacked maps between orthonormalisations for lanes with one system."""
-    steps = refinement * batch.steps
-    strobe = cut_strobe(batch.flow, batch.solver, steps, parts, compensated=batch.compensated)
+    solver, steps = batch.solver, refinement * batch.steps
+    if isinstance(solver, AdaptiveMethod):
+        solver = solver.with_least(refinement * solver.least)
+    strobe = cut_strobe(batch.flow, solver, steps, parts, compensated=batch.compensated)
     return in_precision(strobe, batch.precision)
 
 
@@ -178,7 +183,7 @@ def averages_in_turn(
 
 def _sums(growth: TangentState) -> tuple[TangentState, TangentState]:
     """The whole state for the next periods, and its part that averages are made of."""
-    return growth, growth._replace(tangents=(), loss=())
+    return growth, growth._replace(tangents=())
 
 
 def _one_part(strobes: Maps) -> tuple[Maps, int]:
@@ -206,7 +211,8 @@ def begin(flow: Flow, state: State, k: int) -> TangentState:
     zero = jnp.zeros_like(state[0][0])
     tangents = jax.tree.map(lambda component: zero + component, flow.chart.directions(k))
     sums = k + int(flow.autonomous)
-    return TangentState(state, tangents, (zero,) * sums, zero, zero, ((zero,) * (sums + 1),) * (DEGREE + 2), zero)
+    smooth = ((zero,) * (sums + 1),) * (DEGREE + 2)
+    return TangentState(state, tangents, (zero,) * sums, zero, zero, smooth, (zero,) * sums)
 
 
 def advance(
@@ -278,16 +284,15 @@ def _pushed(strobe: ReturnMap, growth: TangentState, p: Parameters, volume: bool
         tangents, grown = gram_schmidt(moved, singular)
     logs = tuple(sum_ + g for sum_, g in zip(growth.logs, grown, strict=True))
     largest = jnp.maximum(grown[0], grown[1]) if flow.autonomous else grown[0]
-    shrunk, far = largest - grown[-1], jnp.maximum(jnp.abs(largest), jnp.abs(grown[-1]))
+    now = [jnp.maximum(largest - g, _AS_LOSS * jnp.maximum(jnp.abs(largest), jnp.abs(g))) for g in grown]
     if _loses_rank(flow):  # what has vanished needs no digits
-        shrunk = jnp.max(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, largest - g) for g in grown]))
-        far = jnp.max(jnp.abs(jnp.stack([jnp.where(jnp.isneginf(g), 0.0, g) for g in (largest, grown[-1])])))
+        now = [jnp.where(jnp.isneginf(g), 0.0, lost) for g, lost in zip(grown, now, strict=True)]
     return growth._replace(
         state=pushed.state,
         tangents=tangents,
         logs=logs,
         volume=growth.volume + pushed.log_volume if volume else growth.volume,
-        loss=jnp.maximum(growth.loss, jnp.maximum(shrunk, _AS_LOSS * far)),
+        loss=tuple(map(jnp.maximum, growth.loss, now)),
     )
 
 

@@ -29,7 +29,6 @@ _MAPS_KEPT = 64  # of flows, while a number of steps is looked at
 _SILENT_SECONDS = 10.0
 _COUNTED = 16  # samples whose steps are counted where each lane has its own
 _FINEST_COUNTED = 1 << 16  # evaluations of the field of a calm period, at most
-_OF_JACOBIAN = 2.0  # evaluations of the field that a column of its Jacobian and its elimination take
 
 
 class Samples(NamedTuple):
@@ -103,11 +102,13 @@ class SampleMaps:
         return SampleMaps(self.flows, self._lanes, scheme=ADAPTIVE_SCHEME)
 
     def evaluations_of_own_steps(self, samples: Samples, target: float) -> float:
-        """Evaluations of the field a period, or unit of time, with steps of a lane's own that meet a target.
+        """Evaluations of the field a period, or unit of time, with explicit steps of a lane's own that meet a target.
 
-        Of the slowest lanes, for which the others of their tile wait.
+        Of the slowest lanes, for which the others of their tile wait. Explicit ones tell spikes, which few of the steps
+        are for, from stiffness, which binds all of them: there implicit steps of states are longer, and those of
+        tangents are not.
         """
-        solver = ADAPTIVE["rodas5p"]
+        solver = ADAPTIVE["adaptive_tsit5"]
         picked = samples.take_lanes(np.unique(np.linspace(0, len(samples.row) - 1, _COUNTED).round().astype(int)))
         if self.sectioned:
             picked = picked._replace(states=picked.states.state)
@@ -119,8 +120,7 @@ class SampleMaps:
             return (make_return_map(flow_of(self.flows[row]), solver, steps),)
 
         trials = np.asarray(self.by_flow(count_trials, shared, picked, 1))
-        dimension = len(self.flow.coordinates)
-        return float(np.max(trials)) * (solver.stages + _OF_JACOBIAN * dimension)
+        return float(np.max(trials)) * solver.stages
 
     def tell(self, text: str) -> None:
         """Report the progress of a long calibration."""
