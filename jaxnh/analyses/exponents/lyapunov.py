@@ -43,7 +43,7 @@ from jaxnh.analyses.exponents.estimates import (
     widen_plain_by_drift,
 )
 from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
-from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refine, refinement_needed
+from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refine, refinement_needed, spares_last
 from jaxnh.analyses.exponents.tables import dataset
 from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
@@ -91,14 +91,15 @@ def choose(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     batch, k = batch.without_section(), tangents(options, batch.without_section())
     if not batch.flow.continuous:
         return {"parts": 1}
-    parts, growth = parts_needed(batch, lanes, k)
+    spared = every_exponent(options, batch) and spares_last(batch, k + int(batch.flow.autonomous))
+    parts, growth = parts_needed(batch, lanes, k, spare_last=spared)
     if parts == k == 1:
         return {"parts": 1}
-    refinement = refinement_needed(batch, lanes, growth, parts)
+    refinement = refinement_needed(batch, lanes, growth, parts, spare_last=spared)
     if refinement > 1:  # steps that do not follow tangents do not show how fast these are lost in another either
-        fine, growth = parts_needed(refine(batch, parts, refinement), lanes, k)
+        fine, growth = parts_needed(refine(batch, parts, refinement), lanes, k, spare_last=spared)
         if fine > parts:
-            parts, refinement = fine, refinement_needed(batch, lanes, growth, fine)
+            parts, refinement = fine, refinement_needed(batch, lanes, growth, fine, spare_last=spared)
     return {"parts": parts} | ({"refinement": refinement} if refinement > 1 else {})
 
 

@@ -34,17 +34,20 @@ def _pilots(batch: LaneBatch) -> LaneBatch:
     return batch.take(np.unique(np.linspace(0, batch.count - 1, _PILOT_LANES).round().astype(int)))
 
 
-def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, TangentState]:
+def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int, *, spare_last: bool = False) -> tuple[int, TangentState]:
     """Return orthonormalisations a period, a power of two, so that no tangent is lost in another between them.
 
     Measured on lanes across the sweep: what one sixteenth of a period does to the spread of the tangents, at most,
     bounds what a longer part does; where that is all that rounding lets one see, or where a tangent underflows, a
     smaller part is looked at. One tangent alone is looked at over whole periods. Also these lanes some periods from
     their start.
+
+    Args:
+        spare_last: whether the last tangent may be lost as long as it does not vanish (`spares_last`).
     """
     few = _pilots(batch)
     parts, seen = (_PILOT_PARTS, LARGEST_SEEN) if k > 1 else (1, LARGEST_LOSS)  # in a whole period more drowns
-    first = None
+    first, vanished = None, False
     while True:
         state, p = few.lanes
         growth = lanes(begin, (batch.system,), (state,), static=(k,))
@@ -55,16 +58,18 @@ def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int) -> tuple[int, Tang
         loss, underflows = 0.0, False
         for strobe in split_stack(strobes, cut_period(batch, 1)) * _PILOT_PERIODS if single else (strobes,):
             growth, _ = average(lanes, strobe, growth, p, 1 if single else _PILOT_PERIODS)
-            last = growth.loss[-1]
+            last = growth.loss[-2 if spare_last else -1]
             loss = float(np.max(last, initial=loss, where=np.isfinite(last)))
             underflows |= bool(np.any(np.isnan(growth.logs) & is_finite(growth.state)))
         first = first or (parts, loss)
         if (loss < seen and not underflows) or parts == _MOST_PARTS:
             break
+        vanished |= underflows
         parts *= 4
     if underflows:  # however short the parts: tangents of a lane at rest have no direction across the flow
         parts, loss = first
-    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / LARGEST_LOSS, 1.0))), 1, _MOST_PARTS)), growth
+    least = parts if spare_last and vanished and not underflows else 1
+    return int(np.clip(2 ** math.ceil(math.log2(max(parts * loss / LARGEST_LOSS, 1.0))), least, _MOST_PARTS)), growth
 
 
 def refine(batch: LaneBatch, parts: int, refinement: int) -> LaneBatch:
@@ -78,7 +83,18 @@ def refine(batch: LaneBatch, parts: int, refinement: int) -> LaneBatch:
     return replace(batch, solver=solver, steps=refinement * batch.steps)
 
 
-def refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState, parts: int) -> int:
+def spares_last(batch: LaneBatch, sums: int) -> bool:
+    """Return whether the last tangent need not be followed: of steps of a lane's own, with others before it.
+
+    Implicit ones are as long as the motion is slow, however it contracts; a tangent needs a step a factor e. Volume,
+    whose rate is integrated, knows the exponent without it.
+    """
+    return isinstance(batch.solver, AdaptiveMethod) and sums > 1
+
+
+def refinement_needed(
+    batch: LaneBatch, lanes: LaneRunner, growth: TangentState, parts: int, *, spare_last: bool = False
+) -> int:
     """Return the factor of the steps, a power of two, beyond which doubling it does not change tangents.
 
     Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
@@ -89,7 +105,7 @@ def refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState,
         return 1
     few, room = _pilots(batch), cut_period(batch, 1)
     p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * batch.error_estimate)
-    periods = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts)
+    periods, followed = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts), len(growth.logs) - int(spare_last)
 
     def grown(now: TangentState, pieces: Sequence[ReturnMap]) -> tuple[TangentState, np.ndarray, np.ndarray]:
         """Growth over some pieces, and that of their moduli."""
@@ -109,7 +125,7 @@ def refinement_needed(batch: LaneBatch, lanes: LaneRunner, growth: TangentState,
             now, twice, moduli = grown(now, fine[2 * i : 2 * (i + span)])
             with np.errstate(invalid="ignore"):  # of a tangent that has vanished in both
                 apart, whole = apart + once - twice, whole + moduli
-        apart, whole = (np.abs(values[:, : len(growth.logs)]) / periods for values in (apart, whole))
+        apart, whole = (np.abs(values[:, :followed]) / periods for values in (apart, whole))
         short = apart > enough * np.maximum(whole, 1.0)
         if not np.any(short & np.isfinite(apart)):
             break

@@ -14,6 +14,7 @@ from jaxnh.analyses.batch import LaneBatch, iterate_units, rate_attrs
 from jaxnh.analyses.exponents.dimension import kaplan_yorke, kaplan_yorke_error
 from jaxnh.analyses.exponents.errors import Average, widen_to_sum_rule
 from jaxnh.analyses.exponents.estimates import SOURCES, Averages, Spectrum, know_lost, lost_tangents
+from jaxnh.analyses.exponents.orthonormalisation import spares_last
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.maps.section import reports
@@ -60,9 +61,12 @@ def dataset(
         with np.errstate(invalid="ignore"):  # both are minus infinity where a map has a multiplier zero
             mean_divergence = volume[:, 1 if batch.flow.readout.contraction else 0]
             residual = sums - mean_divergence - area / averaged / period
-        by_sum = lost[:, -1] & ~np.any(lost[:, :-1], axis=1) & np.isfinite(total.mean)
-        residual = np.where(by_sum, np.nan, residual)
         of_average = np.isin(spectrum.source, (SOURCES.index("average"), SOURCES.index("smooth_average")))
+        by_sum = lost[:, -1]
+        if spares_last(batch, k):  # where the rule is broken, it is by that tangent, as all others are followed
+            by_sum = by_sum | (of_average & (np.abs(residual) > np.maximum(error.sum(axis=1), total.error / period)))
+        by_sum = by_sum & ~np.any(lost[:, :-1], axis=1) & np.isfinite(total.mean)
+        residual = np.where(by_sum, np.nan, residual)
         rounding = np.finfo(float).eps * np.sqrt(_MOST_PARTS * averaged) * np.abs(mean_divergence)
         error[of_average] = widen_to_sum_rule(error[of_average], residual[of_average], rounding[of_average])
     attrs: dict[str, Any] = {}
