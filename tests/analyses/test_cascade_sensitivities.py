@@ -24,6 +24,7 @@ def quadratic(a=1.5, c=1.0, q=0.0):
 
 
 SWEEP = np.linspace(1.74, 1.80, 60)
+FIRST = 1.76852915247  # whose orbit of three has a multiplier of −1, of both equations by fsolve
 OPTIONS = jaxnh.Windows(max_period=3, levels=6, crisis=0)
 
 
@@ -60,6 +61,8 @@ def test_limit_under_grad(session):
     limit = jaxnh.gradient(session, options, "limit", where={"window": 0}, a=sweep)
     value, rate = jax.value_and_grad(lambda c: limit(c=c))(1.0)
     assert float(rate) == pytest.approx(-float(value), abs=1e-9)
+    first = jaxnh.gradient(session, options, "doubling", where={"window": 0, "level": 1}, a=sweep)
+    assert float(first(c=1.0)) == pytest.approx(FIRST, abs=1e-10)
     with pytest.raises(InputError, match=r"crisis at .* no single number with derivatives; there are .* limit over"):
         jaxnh.gradient(session, options, "crisis", where={"window": 0}, a=sweep)(c=1.0)
 

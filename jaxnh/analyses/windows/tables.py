@@ -75,6 +75,7 @@ def dataset(
         "last": variable("window", last, f"{axis.long_name} of the last of these lanes", axis.units),
         **_end_variables("begin", "begin to attract", axis, [group[0].begin for group in groups], batch),
         **_end_variables("end", "cease to attract", axis, [group[0].end for group in groups], batch),
+        "level": variable("level", np.arange(1, levels + 1), "number of the period doubling"),
         "doubling": variable(
             ("window", "level"),
             value,
