@@ -156,7 +156,7 @@ def point_rates(
 def modulus_rates(
     blocks: Float[np.ndarray, "n d d"], motions: Sequence[OrbitMotion], multiplier: complex
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Return the derivative of |μ| in each of k parameters, and errors; of a multiplier zero NaN: |μ| has a corner there."""
+    """Return the derivative of |μ| in each of k parameters, and errors; NaN where μ is zero, a corner of |μ|."""
     rates = [multiplier_rate(blocks, motion, multiplier) for motion in motions]
     unit = np.conj(multiplier) / abs(multiplier) if multiplier else np.nan
     return np.array([(unit * rate).real for rate, _ in rates]), np.array([error for _, error in rates])
