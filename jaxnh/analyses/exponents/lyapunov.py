@@ -146,9 +146,9 @@ def averages(
             part, part_p = select((growth, p), others)
             _write_lanes(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
     start = jax.tree.map(np.array, growth.state)
+    growth = growth._replace(loss=tuple(np.zeros((lead + k, count))))  # of what is averaged alone
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
     smooth = np.zeros((count, 3 + DEGREE, lead + k + 1))
-    loss = np.zeros((count, lead + k))
     done = np.zeros(count, int)
     running = np.arange(count)
     settled = no_orbits(lead + k)
@@ -160,7 +160,6 @@ def averages(
             for number, (after, rate) in zip(stretch, in_turn, strict=True):
                 rates[rows, number] = rate
                 smooth[rows] += smooth_parts(after, block, number)
-                loss[rows] = np.maximum(loss[rows], np.stack(after.loss, axis=-1))
             _write_lanes(growth, running, in_turn[-1][0])
             done[running] += len(stretch)
             if i == 0 and not to_the_end and _has_orbits(options, batch):
@@ -177,7 +176,7 @@ def averages(
                 running = running[~(np.max(error, axis=1) < options.error)]
             if not len(running):
                 break
-    return Averages(start, growth, rates, smooth, loss, done, settled)
+    return Averages(start, growth, rates, smooth, np.stack(growth.loss, axis=-1), done, settled)
 
 
 def _stretches(options: LyapunovOptions) -> list[range]:

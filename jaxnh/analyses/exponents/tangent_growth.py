@@ -59,7 +59,8 @@ class TangentState(NamedTuple):
         divergence: integral of the flow's divergence by quadrature, zero where it is not asked for.
         smooth: the sums of logs and volume, over periods under the weights of `moment_weights`, as tuples.
         loss: of each of `logs`, the largest logarithm by which its tangent shrank against the first in one part of a
-            period; as much as `LARGEST_LOSS` where squares of tangents come near the ends of the range of numbers.
+            period since the tangents began; as much as `LARGEST_LOSS` where squares of tangents come near the ends of
+            the range of numbers.
     """
 
     state: LaneStates
@@ -165,7 +166,7 @@ def averages_in_turn(
 ) -> list[tuple[TangentState, Float[np.ndarray, "lanes sums"]]]:
     """Advance lanes by `count` periods, a time for each of `firsts`; return after each what `average` does.
 
-    Tangents stay on the device: only the last of these states has any.
+    Tangents and how fast they were lost stay on the device: only the last of these states has any.
     """
     strobes, parts = (strobes, 1) if quadrature else _one_part(strobes)
     links = [
@@ -183,7 +184,7 @@ def averages_in_turn(
 
 def _sums(growth: TangentState) -> tuple[TangentState, TangentState]:
     """The whole state for the next periods, and its part that averages are made of."""
-    return growth, growth._replace(tangents=())
+    return growth, growth._replace(tangents=(), loss=())
 
 
 def _one_part(strobes: Maps) -> tuple[Maps, int]:
@@ -224,8 +225,8 @@ def advance(
     p: Parameters,
 ) -> TangentState:
     """Advance one lane by `count` periods, its sums begun anew, without smooth ones where no share is `first`."""
-    zeros = jax.tree.map(jnp.zeros_like, growth[2:])
-    growth = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]))
+    zeros = jax.tree.map(jnp.zeros_like, growth[2:-1])
+    growth = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]), growth.loss)
     # Where the divergence is a derivative more, it serves the sum rule, and says where the map loses rank.
     system = strobes.system
     wanted = system.readout.contraction or len(growth.logs) == system.exponents or _loses_rank(system)
