@@ -19,8 +19,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.general_flow import Moving, linearise, own_parameters, restored, stack_leaves, time_split
+from jaxnh.maps.general_flow import Moving, linearise, own_parameters, restored, stack_leaves
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
+from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers.adaptive import AdaptiveMethod
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components, masked

@@ -23,12 +23,13 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnh.maps.batching import as_batched
+from jaxnh.maps.jacobians import equations_with_tangents, field_jacobian, has_cheap_jacobian, tangent_rate
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
-from jaxnh.maps.time_tables import TimeSplit
+from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State
-from jaxnh.systems.tracing import cached_by_structure, traced_once
+from jaxnh.systems.tracing import traced_once
 
 _SMALLEST_GRID = 2048  # steps of all parts: most accuracies, and refined ones, run through one program
 _LARGEST_STEP = 3000  # equations that are written out in a step; larger ones compile for minutes, and get a loop
@@ -90,7 +91,7 @@ class GeneralStrobe(ReturnMap):
     def _rolls(self, tangents: int) -> bool:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return False
-        return self.carried or stages_in_loop(self.system, self.solver, tangents)
+        return self.carried or stages_in_loop(self.solver, equations_with_tangents(self.system, tangents))
 
     def as_loop(self) -> GeneralStrobe:
         return replace(self, carried=True) if isinstance(self.solver, WrittenOutRungeKutta) else self
@@ -136,9 +137,10 @@ class GeneralStrobe(ReturnMap):
         by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         moved: Any = tuple(t.state for t in tangents)
         # In a loop a field with all tangents is one that has one of them, of more numbers.
-        size = time_split(self.system).size
+        size, rolls = time_split(self.system).size, self._rolls(len(tangents))
         in_turn, apart = size > _IN_TURN, _APART < size <= _IN_TURN and len(tangents) <= _FEW
-        stacked = len(tangents) > 1 and self._rolls(len(tangents) + 1) and not (self.carried or apart)
+        stacked = len(tangents) > 1 and rolls and not (self.carried or apart)
+        by_matrix = not (rolls or any(by_p)) and has_cheap_jacobian(self.system, len(tangents))
         derivative = partial(linearise_stacked, in_turn=in_turn) if stacked else linearise
         if stacked:
             moved, by_p = stacked_tangents(moved, own, by_p)
@@ -149,6 +151,9 @@ class GeneralStrobe(ReturnMap):
                 return time_split(system).rest(values, system, (z, own))
 
             divergence = system.reduction.divergence_of(lambda z: rate(z, own), y.state) if volume else None
+            if by_matrix:
+                value, rows = field_jacobian(system)(values, system, y.state, own)
+                return Moving(value, tuple(tangent_rate(rows, dz) for dz in y.tangents), divergence)
             return Moving(*derivative(rate, y.state, own, y.tangents, by_p), divergence)
 
         def field(values: Sequence[Any], y: Moving) -> Moving:
@@ -171,13 +176,13 @@ class GeneralStrobe(ReturnMap):
         start = Moving(state, moved, zero)
         project = along_tangents(lambda system, t, z, _, p: system.project(t, z, p))
         if system.reduction.leaves_constraints:
-            ended = self._march(field, project, start, len(tangents) + 1)
+            ended = self._march(field, project, start, len(tangents))
         else:
             placed, reduce = project(grid[0], start), system.reduction.reduce
             reduced = Moving(
                 reduce(placed.state), reduce(placed.tangents) if stacked else tuple(map(reduce, placed.tangents)), zero
             )
-            ended = self._march(field, None, reduced, len(tangents) + 1)
+            ended = self._march(field, None, reduced, len(tangents))
             ended = along_tangents(restored)(grid[-1], ended, placed.state)
         each = unstacked_tangents(ended.tangents, len(tangents)) if stacked else ended.tangents
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
@@ -308,24 +313,9 @@ def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
     return {name: p[name] if name in p else system.parameters[name] for name in system.roles.of_lanes}
 
 
-def stages_in_loop(system: Flow, solver: WrittenOutRungeKutta, tangents: int) -> bool:
-    """Return whether the stages of a step with so many tangents are a loop: written out they are too many equations."""
-    if solver.rolled is not None:
-        return solver.rolled
-    return time_split(system).size * (1 + tangents) * solver.stages > _LARGEST_STEP
-
-
-@cached_by_structure
-def time_split(system: Flow) -> TimeSplit:
-    """Split a flow's rate into what depends on time alone and the rest; traced once for all flows of a structure."""
-
-    def rate(t: Any, system: Flow, lane: tuple[State, Mapping[str, Any]]) -> State:
-        state, own = lane
-        return system.reduction.rhs(t, state, own)
-
-    section = jax.ShapeDtypeStruct((system.chart.dimension,), jnp.float64)
-    state = jax.eval_shape(lambda u: system.reduction.reduce(system.chart.state(u)), section)
-    return TimeSplit(rate, system, (state, dict.fromkeys(system.roles.of_lanes, 0.0)))
+def stages_in_loop(solver: WrittenOutRungeKutta, equations: int) -> bool:
+    """Return whether the stages of a step, each of so many equations, are a loop: written out they are too many."""
+    return equations * solver.stages > _LARGEST_STEP if solver.rolled is None else solver.rolled
 
 
 def general_strobe(system: Flow, solver: Any, grid: np.ndarray) -> GeneralStrobe:

@@ -37,6 +37,7 @@ from jaxnh.maps.general_flow import (
 from jaxnh.maps.passages import March, Passages, Trials, passages_within
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Reading, side_from
+from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -78,7 +79,7 @@ class JumpingStrobe(ReturnMap):
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps, those to walls left out, and of the loop over stages, where it is one."""
         system = first_of_stack(self.system, np.ndim(self.steps))
-        inner = (float(self.solver.stages),) if stages_in_loop(system, self.solver, 0) else ()
+        inner = (float(self.solver.stages),) if stages_in_loop(self.solver, time_split(system).size) else ()
         return float(np.mean(self.steps)), *inner
 
     def __call__(self, state: PiecewisePoint, p: Parameters) -> PiecewisePoint:
@@ -286,7 +287,7 @@ class _Lane:
         def rates(stage: Any, y: Moving) -> Moving:
             return derivatives(system, t + c[stage] * h, y, sides, lane.own, lane.by_p)
 
-        in_loop = stages_in_loop(system, solver, count + lane.volume)
+        in_loop = stages_in_loop(solver, time_split(system).size * (1 + count + lane.volume))
         return (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
 
     def _sides_of_heights(self, sides: Heights) -> Heights:

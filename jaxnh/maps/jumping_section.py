@@ -26,6 +26,7 @@ from jaxnh.maps.passages import March, Trials
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.saltation import Arrival
 from jaxnh.maps.section import Crossing, Section
+from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers import WrittenOutRungeKutta
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -139,7 +140,7 @@ class JumpingSection(ReturnMap):
     @property
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps in a period of time, and of the loop over stages, where it is one."""
-        inner = (float(self.solver.stages),) if stages_in_loop(self.system.flow, self.solver, 0) else ()
+        inner = (float(self.solver.stages),) if stages_in_loop(self.solver, time_split(self.system.flow).size) else ()
         return self.system.flow.period / float(np.mean(self.step)), *inner
 
     def __call__(self, state: Crossing, p: Parameters) -> Crossing:

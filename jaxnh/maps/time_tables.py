@@ -7,7 +7,7 @@ What is left is the field of the lanes, which takes their values from the table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -15,16 +15,20 @@ import jax.numpy as jnp
 from jax.extend.core import primitives
 
 from jaxnh.maps.elementary import cosine, exponential, hyperbolic_tangent, logarithm, sine
-from jaxnh.systems.tracing import KnownValue, Program, Step
+from jaxnh.systems.flow import Flow
+from jaxnh.systems.simplification import SimplifiedProgram
+from jaxnh.systems.state import State
+from jaxnh.systems.tracing import KnownValue, Step, cached_by_structure
 
 _TIME, _LANE = 1, 2  # what a value depends on, at most
-_IN_LANES: dict[Any, Callable[[Any], Any]] = {
+IN_LANES: dict[Any, Callable[[Any], Any]] = {
     primitives.sin_p: sine,
     primitives.cos_p: cosine,
     primitives.exp_p: exponential,
     primitives.log_p: logarithm,
     primitives.tanh_p: hyperbolic_tangent,
 }
+"""Functions of lanes in place of those that XLA has."""
 
 
 class TimeSplit:
@@ -42,7 +46,7 @@ class TimeSplit:
             shared: pytree of what all lanes have alike.
             lane: pytree of what each lane has of its own, leaves of any shape.
         """
-        self._program = program = Program(function, 0.0, shared, lane)
+        self._program = program = SimplifiedProgram(function, 0.0, shared, lane)
         of_shared, of_lane = (len(jax.tree.leaves(tree)) for tree in (shared, lane))
         self._level = program.depends([_TIME] + [0] * of_shared + [_LANE] * of_lane)
         self._needed = program.needed(program.outputs)
@@ -72,12 +76,14 @@ class TimeSplit:
         values = jax.vmap(at)(times.ravel())
         return tuple(value.reshape(*times.shape, *value.shape[1:]) for value in values)
 
-    def rest(self, values: Sequence[Any], shared: Any, lane: Any) -> Any:
-        """Evaluate the function with the values of the table at its time."""
+    def rest(
+        self, values: Sequence[Any], shared: Any, lane: Any, instead: Mapping[Any, Callable[[Any], Any]] = IN_LANES
+    ) -> Any:
+        """Evaluate the function with the values of the table at its time, and functions in place of primitives."""
         leaves = [*jax.tree.leaves(shared), *jax.tree.leaves(lane)]
         slots = dict(zip(self._program.inputs[1:], leaves, strict=True))
         slots |= dict(zip(self._table, values, strict=True))
-        self._program.run(slots, self._after, _IN_LANES)
+        self._program.run(slots, self._after, instead)
         return self._program.results(slots)
 
     def _in_lanes(self, step: Step) -> bool:
@@ -85,3 +91,21 @@ class TimeSplit:
 
     def _after(self, step: Step) -> bool:
         return self._level[step.makes[0]] != _TIME and not self._needed.isdisjoint(step.makes)
+
+
+@cached_by_structure
+def time_split(system: Flow) -> TimeSplit:
+    """Split a flow's rate into what depends on time alone and the rest; traced once for all flows of a structure."""
+
+    def rate(t: Any, system: Flow, lane: tuple[State, Mapping[str, Any]]) -> State:
+        state, own = lane
+        return system.reduction.rhs(t, state, own)
+
+    return TimeSplit(rate, system, lane_of(system))
+
+
+def lane_of(system: Flow) -> tuple[State, dict[str, float]]:
+    """What steps carry of a lane, by its shapes, and parameters that it may have of its own."""
+    section = jax.ShapeDtypeStruct((system.chart.dimension,), jnp.float64)
+    state = jax.eval_shape(lambda u: system.reduction.reduce(system.chart.state(u)), section)
+    return state, dict.fromkeys(system.roles.of_lanes, 0.0)

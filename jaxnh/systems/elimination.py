@@ -1,4 +1,7 @@
-"""Small linear systems lane by lane: a component an array of its own, no batch of matrices, no library."""
+"""Small linear systems lane by lane: a component an array of its own, no batch of matrices, no library.
+
+Systems of two and of three are solved in closed form, with one division in place of one a pivot.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,9 @@ from jax.core import Tracer
 
 from jaxnh.systems.state import Number
 
+_CLOSED = (2, 3)
+_SMALLEST_PIVOT = 64 * np.finfo(float).eps  # in units of a matrix's largest entry: below it a pivot is rounding
+
 
 class Factors(NamedTuple):
     """A matrix of n rows in factors, as elimination makes them, column by column.
@@ -21,23 +27,24 @@ class Factors(NamedTuple):
         inverses: inverses of the pivots.
         below: for each column the entries below its pivot, in the rows as they were exchanged.
         above: for each row the entries to the right of its pivot, in units of it.
-        smallest: smallest pivot in units of the matrix's largest entry; zero where all entries are zero.
+        singular: whether the smallest pivot is rounding beside the matrix's largest entry.
     """
 
     exchanges: list[list[Number | None]]
     inverses: list[Number]
     below: list[list[Number]]
     above: list[list[Number]]
-    smallest: Number
+    singular: Number
 
 
 def eliminate(
     matrix: list[list[Number]], rights: list[list[Number]], *, definite: bool = False
 ) -> tuple[list[list[Number]], Number]:
-    """Solutions of a linear system for several right sides, by Gauss with partial pivoting, components of any shape.
+    """Solutions of a linear system for several right sides, components of any shape.
 
-    Rows change places by selection, lane by lane, so that the program has no branch and no indexing. Entries that are
-    floats are known to it: what is zero among them costs nothing.
+    Two and three rows are solved by cofactors, more by Gauss with partial pivoting, whose rows change places by
+    selection, lane by lane, so that the program has no branch and no indexing. Entries that are floats are known to it:
+    what is zero among them costs nothing.
 
     Args:
         matrix: n rows of n components.
@@ -47,11 +54,42 @@ def eliminate(
             rows change places, and what is left at each column is symmetric as well, half of which is computed.
 
     Returns:
-        The solutions, and the smallest pivot in units of the matrix's largest entry; zero where all entries are zero.
-        At zero the solutions are not finite.
+        The solutions, and whether the matrix is singular but for rounding: not where it has entries that are no
+        numbers.
     """
+    if len(matrix) in _CLOSED and not (definite and isinstance(matrix[0][0], float)):  # its first pivot is known
+        return _closed_form(matrix, rights)
     factors = factorise(matrix, definite=definite)
-    return [substitute(factors, right) for right in rights], factors.smallest
+    return [substitute(factors, right) for right in rights], factors.singular
+
+
+def _closed_form(matrix: list[list[Number]], rights: list[list[Number]]) -> tuple[list[list[Number]], Number]:
+    """Solutions by cofactors, and whether the pivots of an elimination that exchanges rows would be singular.
+
+    Of a symmetric matrix equal cofactors are equal equations.
+    """
+    n, first = len(matrix), largest_of([row[0] for row in matrix])
+    adjugate = [[_cofactor(matrix, i, j) for i in range(n)] for j in range(n)]
+    determinant = functools.reduce(plus, (times(x, row[-1]) for x, row in zip(adjugate[-1], matrix, strict=True)))
+    inverse = _inverse(determinant) if isinstance(determinant, float) else 1.0 / jnp.asarray(determinant)
+    # The product of an elimination's first pivots is a minor of the first columns.
+    minors = [first, *([largest_of(adjugate[-1])] if n > 2 else []), jnp.abs(determinant)]
+    rounding = _SMALLEST_PIVOT * largest_of([entry for row in matrix for entry in row])
+    small = [minor <= rounding * before for minor, before in zip(minors, [1.0, *minors], strict=False)]
+    solutions = [
+        [times(functools.reduce(plus, map(times, row, right)), inverse) for row in adjugate] for right in rights
+    ]
+    return solutions, functools.reduce(jnp.logical_or, small)
+
+
+def _cofactor(matrix: list[list[Number]], i: int, j: int) -> Number:
+    """Cofactor of row i and column j of two or three rows."""
+    if len(matrix) == 2:
+        entry = matrix[1 - i][1 - j]
+        return entry if i == j else minus(0.0, entry)
+    (r, s), (c, d) = (((k + 1) % 3, (k + 2) % 3) for k in (i, j))
+    x, y = times(matrix[r][c], matrix[s][d]), times(matrix[r][d], matrix[s][c])
+    return minus(x, y)
 
 
 def factorise(matrix: list[list[Number]], *, definite: bool = False) -> Factors:
@@ -83,7 +121,7 @@ def factorise(matrix: list[list[Number]], *, definite: bool = False) -> Factors:
     for pivot in pivots[1:]:  # what follows a pivot of zero is not a number, and leaves it the smallest
         smallest = jnp.where(jnp.abs(pivot) < smallest, jnp.abs(pivot), smallest)
     above = [row[c + 1 :] for c, row in enumerate(rows)]
-    return Factors(exchanges, inverses, below, above, smallest / jnp.where(largest == 0.0, 1.0, largest))
+    return Factors(exchanges, inverses, below, above, smallest <= _SMALLEST_PIVOT * largest)
 
 
 def substitute(factors: Factors, right: list[Number]) -> list[Number]:
@@ -125,6 +163,11 @@ def _inverse(x: float) -> float:
 def times(x: Number, y: Number) -> Number:
     """x y, nothing where one of them is known to vanish."""
     return 0.0 if is_zero(x) or is_zero(y) else x * y
+
+
+def plus(x: Number, y: Number) -> Number:
+    """x + y, without what is known to vanish."""
+    return y if is_zero(x) else x if is_zero(y) else x + y
 
 
 def minus(x: Number, y: Number) -> Number:

@@ -21,7 +21,6 @@ from jax.typing import ArrayLike
 from jaxnh.systems.elimination import eliminate, is_positive_definite, is_zero, minus, times
 from jaxnh.systems.flow import Flow, Parameters, Reduction
 from jaxnh.systems.jourdain import (
-    SMALLEST_PIVOT,
     Accelerations,
     Equations,
     applied_forces,
@@ -113,21 +112,21 @@ def all_velocities(equations: Equations, explicit: Explicit, q: Vector, u: Vecto
 def _completed(
     equations: Equations, explicit: Explicit, q: Vector, u: Vector, t: Number
 ) -> tuple[Vector, Number | None]:
-    """All velocities, and the smallest pivot of C in units of its largest entry, where C is solved for."""
+    """All velocities, and whether C is singular, where C is solved for."""
     v: list[Any] = [jnp.zeros_like(q[0])] * (len(explicit.given) + len(u))
     for j, velocity in zip(explicit.free, u, strict=True):
         v[j] = velocity
-    f, at, smallest = constraint_functions(equations, len(q)), (*q, *v, t), None
+    f, at, singular = constraint_functions(equations, len(q)), (*q, *v, t), None
     left = f(*at)
     if explicit.inverse is not None:
         solution = [_dot(row, left) for row in explicit.inverse]
     else:
         columns = [slope(f, at, len(q) + j) for j in explicit.given]
         matrix = [[column[i] for column in columns] for i in range(len(left))]
-        (solution,), smallest = eliminate(matrix, [list(left)])
+        (solution,), singular = eliminate(matrix, [list(left)])
     for j, velocity in zip(explicit.given, solution, strict=True):
         v[j] = minus(0.0, velocity)
-    return tuple(v), smallest
+    return tuple(v), singular
 
 
 def free_accelerations(equations: Equations, explicit: Explicit, q: Vector, u: Vector, t: Number) -> Vector:
@@ -143,7 +142,7 @@ def maggi_accelerations(equations: Equations, explicit: Explicit, q: Vector, u: 
         v = all_velocities(equations, explicit, q, u, t)
         return [v[j] for j in explicit.given]
 
-    v, least = _completed(equations, explicit, q, u, t)
+    v, lost = _completed(equations, explicit, q, u, t)
     mass, _ = matrices(equations, (*q, *v, t), k)
     forces = applied_forces(equations, q, v, t)
     rates = equations.rates(q, v, t)
@@ -164,10 +163,9 @@ def maggi_accelerations(equations: Equations, explicit: Explicit, q: Vector, u: 
     upper = {(i, j): _dot(momenta[i], ways[j]) for j in range(len(ways)) for i in range(j + 1)}
     small = [[upper[min(i, j), max(i, j)] for j in range(len(ways))] for i in range(len(ways))]
     right = [_dot(way, forces) for way in ways]
-    (solution,), smallest = eliminate(small, [right], definite=explicit.definite)
-    singular = smallest <= SMALLEST_PIVOT
-    if least is not None:
-        singular |= least <= SMALLEST_PIVOT
+    (solution,), singular = eliminate(small, [right], definite=explicit.definite)
+    if lost is not None:
+        singular |= lost
     return Accelerations(tuple(x + jnp.zeros_like(q[0]) for x in solution), (), singular)
 
 

@@ -19,7 +19,6 @@ from jax import lax
 
 from jaxnh.systems.elimination import largest_of
 from jaxnh.systems.jourdain import (
-    SMALLEST_PIVOT,
     Equations,
     along_motion,
     constraint_functions,
@@ -65,7 +64,7 @@ def project_velocities(equations: Equations, q: Vector, v: Vector, t: Number, ac
     f, n = _holding(equations, len(q), active), len(v)
     mass, slopes = matrices(equations, (*q, *v, t), len(q))
     ends = [[float(i == n + j) for i in range(n + len(slopes))] for j in range(len(slopes))]
-    ways, smallest = solve_bordered(equations, mass, slopes, ends, active)
+    ways, singular = solve_bordered(equations, mass, slopes, ends, active)
     residuals = f(*q, *v, t)
     drift = largest_of(list(residuals))
     for _ in range(_PROJECTIONS):
@@ -73,7 +72,7 @@ def project_velocities(equations: Equations, q: Vector, v: Vector, t: Number, ac
         residuals = f(*q, *v, t)
     sizes = [1.0 + sum(jnp.abs(a * vi) for a, vi in zip(row, v, strict=True)) for row in slopes]
     left = largest_of([r / size for r, size in zip(residuals, sizes, strict=True)])
-    return Projection(v, drift, left, smallest <= SMALLEST_PIVOT)
+    return Projection(v, drift, left, singular)
 
 
 def constrained_velocities(

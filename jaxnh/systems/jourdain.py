@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.core import Tracer
 
 from jaxnh.systems.elimination import as_float, eliminate, is_positive_definite, minus, times
@@ -33,9 +32,6 @@ Energy = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a number."""
 Components = Callable[[Vector, Vector, Number], Number]
 """(q, q̇, t) to a sequence of numbers."""
-
-SMALLEST_PIVOT = 64 * np.finfo(float).eps
-"""Share of the largest entry of the matrix: a pivot below it is rounding."""
 
 
 class Equations(NamedTuple):
@@ -131,9 +127,9 @@ def accelerations(
     right = applied_forces(equations, q, v, t)
     turning = [-rate for rate in (along_motion(f, at, equations.rates(q, v, t)) if slopes else ())]
     right += turning if active is None else [_share(w, rate) for w, rate in zip(active, turning, strict=True)]
-    (solution,), smallest = solve_bordered(equations, mass, slopes, [right], active)
+    (solution,), singular = solve_bordered(equations, mass, slopes, [right], active)
     solution = [x + jnp.zeros_like(q[0]) if isinstance(x, float) else x for x in solution]
-    return Accelerations(tuple(solution[:n]), tuple(-x for x in solution[n:]), smallest <= SMALLEST_PIVOT)
+    return Accelerations(tuple(solution[:n]), tuple(-x for x in solution[n:]), singular)
 
 
 def applied_forces(equations: Equations, q: Vector, v: Vector, t: Number) -> list[Number]:
@@ -192,7 +188,7 @@ def solve_bordered(
     rights: list[list[Number]],
     active: Sequence[Number] | None = None,
 ) -> tuple[list[list[Number]], Number]:
-    """Solutions (x, −λ) of [M, Aᵀ; A, 0] for right sides of k + m components, and the smallest pivot as in `eliminate`.
+    """Solutions (x, −λ) of [M, Aᵀ; A, 0] for right sides of k + m components, and whether it is singular.
 
     The row and the column of a constraint that is not active are those of λ = 0.
     """

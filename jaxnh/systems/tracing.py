@@ -74,6 +74,7 @@ class Program:
         self.structure, self.shapes = jax.tree.structure(out), jax.tree.leaves(out)
         self.unread: dict[Slot, Any] = {}
         self._made: dict[Any, tuple[Slot, ...]] = {}
+        self._maker: dict[Slot, Step] = {}
         self.outputs = self._inline(closed.jaxpr, closed.consts, self.inputs)
 
     @property
@@ -171,13 +172,21 @@ class Program:
             slots |= dict(zip(equation.outvars, made, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
-    def _add(self, equation: Any, reads: tuple[Slot | KnownValue, ...]) -> tuple[Slot, ...]:
+    def step_of(self, slot: Slot) -> Step | None:
+        """Return the equation that makes a slot; None of an argument."""
+        return self._maker.get(slot)
+
+    def _add(self, equation: Any, reads: tuple[Slot | KnownValue, ...]) -> tuple[Slot | KnownValue, ...]:
         """Add an equation, where there is none like it; what it makes."""
+        return self._made_by(equation, reads, len(equation.outvars))
+
+    def _made_by(self, equation: Any, reads: tuple[Slot | KnownValue, ...], count: int) -> tuple[Slot, ...]:
         name = _name_of(equation, reads)
         if name is None or name not in self._made:
-            made = tuple(self._slot() for _ in equation.outvars)
+            made = tuple(self._slot() for _ in range(count))
             self.steps.append(Step(equation, reads, made))
             self._made[name or len(self.steps)] = made
+            self._maker |= dict.fromkeys(made, self.steps[-1])
             return made
         return self._made[name]
 

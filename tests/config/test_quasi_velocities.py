@@ -11,8 +11,8 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.start_states import put_on_level
 from jaxnh.exceptions import ConfigError
 from jaxnh.maps.build import make_return_map
-from jaxnh.maps.general_flow import time_split
 from jaxnh.maps.iterate import iterate
+from jaxnh.maps.time_tables import time_split
 from jaxnh.mechanics import ellipsoid, rolling_body
 from jaxnh.solvers import dopri8, tsit5
 from jaxnh.systems.lagrangian import Lagrangian, Motion, lagrangian

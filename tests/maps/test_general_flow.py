@@ -15,10 +15,11 @@ import scipy.linalg
 from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
-from jaxnh.maps.general_flow import general_strobe, time_split
+from jaxnh.maps.general_flow import general_strobe
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.step_grids import step_grid
+from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, dopri8, tsit5
 from jaxnh.solvers.diffrax_solvers import DiffraxSteps
 from jaxnh.solvers.runge_kutta import in_loop

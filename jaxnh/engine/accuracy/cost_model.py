@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from jaxnh.maps.general_flow import time_split
+from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers import Solver, WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
