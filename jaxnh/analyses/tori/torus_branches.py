@@ -37,12 +37,13 @@ from jaxnh.analyses.price import newton_price
 from jaxnh.analyses.tori import tori
 from jaxnh.analyses.tori.curve_tables import KINDS, NONE, CurveTable
 from jaxnh.analyses.tori.invariant_curves import InvariantCurve, qualities
-from jaxnh.analyses.tori.torus_paths import Torus, TorusBranch, ends_at, is_on_branch, tori_at, tori_through
+from jaxnh.analyses.tori.torus_paths import Torus, TorusBranch, ends_at, is_on_branch, tori_at, tori_through, torus_through
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.orbits.bifurcations.hopf_cycles import hopf_points
 from jaxnh.orbits.continuation.arclength import Family
+from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import NEIMARK_SACKER
-from jaxnh.orbits.continuation.paths import ENDS
+from jaxnh.orbits.continuation.paths import ENDS, StepControl
 
 _OWN_NAMES = (
     "torus_branch", "torus_point", "normal", "theta", "kind", "rotation", "rotation_error", "growth", "growth_error",
@@ -60,6 +61,11 @@ def check(options: TorusBranchesOptions, setting: Setting) -> None:
 
 def _as_branches(options: TorusBranchesOptions) -> BranchesOptions:
     return BranchesOptions(transient=options.transient, max_period=options.max_period)
+
+
+def _steps(options: TorusBranchesOptions) -> StepControl:
+    """Steps along branches; tori are nearly neutral beside bifurcations, and Newton's steps say less of errors."""
+    return step_control(options)._replace(tolerance=FINE)
 
 
 def whole(
@@ -103,7 +109,7 @@ def _from_points(
         for point in hopf_points(family, points, value):
             if any(ends_at(family, branch, point) for branch in followed if branch.iterates == n):
                 continue
-            branch = tori_at(family, n, point, step_control(options), options.harmonics)
+            branch = tori_at(family, n, point, _steps(options), options.harmonics)
             if branch is None:
                 missed.append(point.value)
             else:
@@ -116,10 +122,16 @@ def _from_tori(
 ) -> list[TorusBranch]:
     """The branches through tori that lanes move on, those that are known left out."""
     followed = list[TorusBranch]()
+
+    def is_known(torus: Torus) -> bool:
+        return any(is_on_branch(family, branch, torus) for branch in (*known, *followed))
+
     for torus in tori_of_lanes:
-        if not any(is_on_branch(family, branch, torus) for branch in (*known, *followed)):
-            branch = tori_through(family, torus, step_control(options), options.harmonics)
-            followed += [] if branch is None else [branch]
+        if is_known(torus) or (start := torus_through(family, torus)) is None:
+            continue
+        equations, solution = start
+        if not is_known(equations.torus(solution.z[0])):  # a motion may still be on its way to its torus
+            followed.append(tori_through(equations, solution, _steps(options), options.harmonics))
     return followed
 
 

@@ -12,7 +12,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import solve_triangular
 
 from jaxnh.analyses.tori.invariant_curves import InvariantCurve, invariance_system, is_resolved
@@ -23,7 +23,10 @@ from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, Solutio
 from jaxnh.orbits.continuation.paths import COLLAPSED, NO_CONVERGENCE, START, UNRESOLVED, Path, StepControl
 
 _FIRST_HARMONICS = 8  # of a curve beside a Neimark–Sacker point
-_AMPLITUDES = 0.02, 0.005, 0.08  # lengths, of the curves that Newton begins with beside a Neimark–Sacker point
+_AMPLITUDES = 0.02, 0.005, 0.08, 0.002  # natural ones, of curves that Newton begins with beside such a point
+_NATURAL = 0.1  # widths of the range, by which the parameter differs where the amplitude is the natural one
+_LARGEST = 10.0  # sizes of the motion: the natural amplitude at most
+_IN_PLANE = 1e-9  # of the critical vector in sizes: what is less takes no part in it
 _SMALLEST = 1e-3  # lengths: a curve that is smaller has come to an orbit
 _BESIDE = 0.2  # lengths from a Neimark–Sacker point: a curve that comes to an orbit here has come to this one
 _SAME = 1e-3  # turns, and sizes of the motion: a torus this near to a branch is on it
@@ -139,14 +142,32 @@ class TorusEquations(EquationsOfPaths):
             return {}, none
         before, after = self._deviation(now.z), self._deviation(taken.z)
         with np.errstate(invalid="ignore"):
-            merged = np.sqrt(np.sum(after**2, axis=1)) <= _SMALLEST
-            collapsed = merged | (np.sum(before * after, axis=1) <= 0.0)
+            collapsed = self.is_orbit(taken.z) | (np.sum(before * after, axis=1) <= 0.0)
         return {COLLAPSED: collapsed}, collapsed
+
+    def is_orbit(self, z: Float[np.ndarray, "lanes N"]) -> Bool[np.ndarray, " lanes"]:
+        """Return whether curves are so small that they are orbits."""
+        small = np.sqrt(np.sum(self._deviation(z) ** 2, axis=1)) <= _SMALLEST
+        return small & ~np.any(self._winding)
 
     def _deviation(self, z: Float[np.ndarray, "lanes N"]) -> Float[np.ndarray, "lanes k"]:
         """Curves less their means, in lengths."""
         points = (z / self.unit)[:, :-2].reshape(len(z), -1, len(self._winding))
         return (points - points.mean(axis=1, keepdims=True)).reshape(len(z), -1)
+
+
+def natural_units(family: Family, point: HopfPoint) -> tuple[Family, float]:
+    """The family in sizes of the tori that a Neimark–Sacker point begins, and their amplitude of one length.
+
+    By the normal form it is that of the torus a tenth of the range from the point. Sizes of orbits may be none of tori:
+    an orbit may rest in coordinates that its tori move in, and may be much larger than these.
+    """
+    in_sizes = np.abs(point.vector) / family.size
+    largest = _LARGEST / np.min(in_sizes[in_sizes > _IN_PLANE * in_sizes.max()])
+    with np.errstate(divide="ignore"):
+        amplitude = min(np.sqrt(_NATURAL * family.width / np.abs(point.bend)), largest)
+    size = np.maximum(2.0 * np.abs(point.vector) * amplitude, family.size * min(1.0, amplitude))
+    return family._replace(size=size), float(amplitude)
 
 
 def tori_at(family: Family, iterates: int, point: HopfPoint, steps: StepControl, most: int) -> TorusBranch | None:
@@ -159,25 +180,29 @@ def tori_at(family: Family, iterates: int, point: HopfPoint, steps: StepControl,
         steps: how the curve is followed.
         most: harmonics at most.
     """
+    family, unit = natural_units(family, point)
     equations = TorusEquations(family, iterates, np.zeros(len(point.u), int), _FIRST_HARMONICS)
     for amplitude in _AMPLITUDES:
-        z, none = (equations.unknowns(_small_torus(point, r)) for r in (amplitude, 0.0))
+        z, none = (equations.unknowns(_small_torus(point, r)) for r in (amplitude * unit, 0.0))
         across = (z - none) / core.norm(equations.unit, z - none)[:, None]
-        now = core.correct(equations, z, across)
-        if now.converged[0] and family.low <= now.z[0, -1] <= family.high:
+        now = core.correct(equations, z, across, core.FINE)
+        if now.converged[0] and not equations.is_orbit(now.z)[0] and family.low <= now.z[0, -1] <= family.high:
             return follow_tori(equations, now, steps, most)._replace(born=point.value)
     return None
 
 
-def tori_through(family: Family, torus: Torus, steps: StepControl, most: int) -> TorusBranch | None:
-    """The curve of tori of a map through one, from one end to the other; None where Newton does not confirm it."""
+def torus_through(family: Family, torus: Torus) -> tuple[TorusEquations, Solution] | None:
+    """The torus of a map near a curve, at the same parameter; None where Newton confirms none, or has an orbit."""
     equations = TorusEquations(family, 1, torus.curve.winding, torus.curve.harmonics)
     z = equations.unknowns(torus)
     across = np.zeros_like(z)
     across[0, -1] = family.width
-    now = core.correct(equations, z, across)
-    if not now.converged[0]:
-        return None
+    now = core.correct(equations, z, across, core.FINE)
+    return None if not now.converged[0] or equations.is_orbit(now.z)[0] else (equations, now)
+
+
+def tori_through(equations: TorusEquations, now: Solution, steps: StepControl, most: int) -> TorusBranch:
+    """The curve of tori of a map through one, from one end to the other."""
     ahead, behind = (follow_tori(equations, start, steps, most) for start in (now, now.backward()))
     return TorusBranch(1, [*behind.tori[:0:-1], *ahead.tori], (behind.ends[1], ahead.ends[1]))
 
@@ -186,6 +211,7 @@ def ends_at(family: Family, branch: TorusBranch, point: HopfPoint) -> bool:
     """Return whether a branch of tori has come to an orbit beside a Neimark–Sacker point."""
     if branch.ends[1] != COLLAPSED:
         return False
+    family, _ = natural_units(family, point)
     last = branch.tori[-1]
     gap = family.wrap(last.curve.periodic.mean(axis=0) - point.u) / family.size
     return bool(np.hypot(np.linalg.norm(gap), (last.value - point.value) / family.width) < _BESIDE)
