@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -37,7 +38,17 @@ from jaxnh.analyses.price import newton_price
 from jaxnh.analyses.tori import tori
 from jaxnh.analyses.tori.curve_tables import KINDS, NONE, CurveTable
 from jaxnh.analyses.tori.invariant_curves import InvariantCurve, qualities
-from jaxnh.analyses.tori.torus_paths import Torus, TorusBranch, ends_at, is_on_branch, tori_at, tori_through, torus_through
+from jaxnh.analyses.tori.orbit_seeds import orbits_within_motions
+from jaxnh.analyses.tori.torus_paths import (
+    Torus,
+    TorusBranch,
+    ends_at,
+    is_on_branch,
+    strong_resonance,
+    tori_at,
+    tori_through,
+    torus_through,
+)
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.orbits.bifurcations.hopf_cycles import hopf_points
 from jaxnh.orbits.continuation.arclength import Family
@@ -49,6 +60,9 @@ _OWN_NAMES = (
     "torus_branch", "torus_point", "normal", "theta", "kind", "rotation", "rotation_error", "growth", "growth_error",
     "decay", "harmonics", "residual", "period", "birth", "begins", "ends",
 )  # fmt: skip
+_NO_FORM = "the normal form is not known at the Neimark–Sacker points"
+_NO_TORUS = "Newton confirms no torus beside the Neimark–Sacker points"
+_RESONANCE = "no torus is begun in the strong resonance 1:{q} of the Neimark–Sacker points"
 _WORK = 3.0  # of a run, in those of settling: a guess
 
 
@@ -75,9 +89,13 @@ def whole(
     (axis, *_), [(order, row)] = sweep.axes, sweep.rows
     batch = replace(row, axis=replace(axis, values=axis.values[order]))
     of_branches = _as_branches(options)
-    orbits, *_ = branches.grow_branches(of_branches, batch, lanes, branches.settle(of_branches, batch, lanes))
+    settled = branches.settle(of_branches, batch, lanes)
     with lanes.stage(f"torus_branches: motions of {batch.count:,} lanes", tori.periods(options, batch.count)):
-        curves = tori.curves_of_motions(options, batch, tori.turning_motions(options, batch, lanes))
+        motions = tori.turning_motions(options, batch, lanes)
+        curves = tori.curves_of_motions(options, batch, motions)
+    with lanes.stage("torus_branches: orbits within motions", 0):
+        further = orbits_within_motions(batch, lanes, settled, motions, options.max_period)
+    orbits, *_ = branches.grow_branches(of_branches, batch, lanes, settled, further)
     family = _in_units_options(orbits.family, list(curves.values()))
     with lanes.stage("torus_branches: from Neimark–Sacker points", 0):
         followed, missed = _from_points(options, family, orbits.tree.bifurcations)
@@ -95,25 +113,35 @@ def _in_units_options(family: Family, curves: Sequence[InvariantCurve]) -> Famil
     return family._replace(size=np.maximum(family.size, np.median([curve.size for curve in curves], axis=0)))
 
 
+class Unfollowed(NamedTuple):
+    """A Neimark–Sacker point that no branch begins at: the parameter, and why, in words."""
+
+    value: float
+    reason: str
+
+
 def _from_points(
     options: TorusBranchesOptions, family: Family, born: Sequence[Bifurcation]
-) -> tuple[list[TorusBranch], list[float]]:
+) -> tuple[list[TorusBranch], list[Unfollowed]]:
     """The branches that Neimark–Sacker points begin, each once, as one may end at another such point.
 
-    And the parameter at points beside which Newton confirms no torus.
+    And the points that begin none.
     """
-    followed, missed = list[TorusBranch](), list[float]()
+    followed, missed = list[TorusBranch](), list[Unfollowed]()
     for n in sorted({len(point.points) for point in born if point.kind == NEIMARK_SACKER}):
         mine = [point for point in born if point.kind == NEIMARK_SACKER and len(point.points) == n]
         points, value = np.stack([point.points for point in mine]), np.array([point.value for point in mine])
-        for point in hopf_points(family, points, value):
+        known = hopf_points(family, points, value)
+        missed += [Unfollowed(v, _NO_FORM) for v in sorted({*value.tolist()} - {point.value for point in known})]
+        for point in known:
             if any(ends_at(family, branch, point) for branch in followed if branch.iterates == n):
                 continue
-            branch = tori_at(family, n, point, _steps(options), options.harmonics)
-            if branch is None:
-                missed.append(point.value)
-            else:
+            if q := strong_resonance(point):
+                missed.append(Unfollowed(point.value, _RESONANCE.format(q=q)))
+            elif branch := tori_at(family, n, point, _steps(options), options.harmonics):
                 followed.append(branch)
+            else:
+                missed.append(Unfollowed(point.value, _NO_TORUS))
     return followed, missed
 
 
@@ -143,7 +171,7 @@ def _groups(
     batch: LaneBatch,
     lanes: LaneRunner,
     followed: Sequence[TorusBranch],
-    missed: Sequence[float],
+    missed: Sequence[Unfollowed],
 ) -> dict[str, xr.Dataset]:
     """Numbers and curves over (torus_branch, torus_point), filled up beyond the ends."""
     axis, branch, dims = batch.first_axis, "torus_branch", ("torus_branch", "torus_point")
@@ -174,12 +202,13 @@ def _groups(
 
 
 def _warnings(
-    options: TorusBranchesOptions, axis: Axis, followed: Sequence[TorusBranch], missed: Sequence[float]
+    options: TorusBranchesOptions, axis: Axis, followed: Sequence[TorusBranch], missed: Sequence[Unfollowed]
 ) -> list[str]:
     """Lines of a search that has come to nothing."""
-    beside = ", ".join(f"{value:.9g}" for value in missed)
-    lines = [f"torus_branches: Newton confirms no torus beside the Neimark–Sacker points at {axis.name} = {beside}"]
-    lines = lines if missed else []
+    reasons: dict[str, list[str]] = {}
+    for point in missed:
+        reasons.setdefault(point.reason, []).append(f"{point.value:.9g}")
+    lines = [f"torus_branches: {reason} at {axis.name} = {', '.join(at)}" for reason, at in reasons.items()]
     if not followed:
         lines.append(
             f"torus_branches: there is no torus to follow along {axis.name}; looked at branches of orbits of period "

@@ -27,6 +27,7 @@ _AMPLITUDES = 0.02, 0.005, 0.08, 0.002  # natural ones, of curves that Newton be
 _NATURAL = 0.1  # widths of the range, by which the parameter differs where the amplitude is the natural one
 _LARGEST = 10.0  # sizes of the motion: the natural amplitude at most
 _IN_PLANE = 1e-9  # of the critical vector in sizes: what is less takes no part in it
+_STRONG = 1e-3  # turns from a resonance, within which the normal form is none of tori
 _SMALLEST = 1e-3  # lengths: a curve that is smaller has come to an orbit
 _BESIDE = 0.2  # lengths from a Neimark–Sacker point: a curve that comes to an orbit here has come to this one
 _SAME = 1e-3  # turns, and sizes of the motion: a torus this near to a branch is on it
@@ -168,6 +169,15 @@ def natural_units(family: Family, point: HopfPoint) -> tuple[Family, float]:
         amplitude = min(np.sqrt(_NATURAL * family.width / np.abs(point.bend)), largest)
     size = np.maximum(2.0 * np.abs(point.vector) * amplitude, family.size * min(1.0, amplitude))
     return family._replace(size=size), float(amplitude)
+
+
+def strong_resonance(point: HopfPoint) -> int | None:
+    """Return the number of iterates, up to four, after which a Neimark–Sacker point's multipliers are nearly one.
+
+    There the normal form has further terms of the orders that decide on tori, and need not begin any (Kuznetsov,
+    Elements of Applied Bifurcation Theory, 2004, 9.5). None at other points.
+    """
+    return next((q for q in range(1, 5) if abs(point.turn - round(q * point.turn) / q) < _STRONG), None)
 
 
 def tori_at(family: Family, iterates: int, point: HopfPoint, steps: StepControl, most: int) -> TorusBranch | None:
