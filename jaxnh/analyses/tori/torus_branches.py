@@ -63,6 +63,7 @@ _OWN_NAMES = (
 _NO_FORM = "the normal form is not known at the Neimark–Sacker points"
 _NO_TORUS = "Newton confirms no torus beside the Neimark–Sacker points"
 _RESONANCE = "no torus is begun in the strong resonance 1:{q} of the Neimark–Sacker points"
+_ESCAPED = 1e15  # sizes of the motion: larger curves are of motions on their way to infinity
 _WORK = 3.0  # of a run, in those of settling: a guess
 
 
@@ -96,6 +97,7 @@ def whole(
     with lanes.stage("torus_branches: orbits within motions", 0):
         further = orbits_within_motions(batch, lanes, settled, motions, options.max_period)
     orbits, *_ = branches.grow_branches(of_branches, batch, lanes, settled, further)
+    curves = {k: curve for k, curve in curves.items() if np.all(curve.size < _ESCAPED * orbits.family.size)}
     family = _in_units_options(orbits.family, list(curves.values()))
     with lanes.stage("torus_branches: from Neimark–Sacker points", 0):
         followed, missed = _from_points(options, family, orbits.tree.bifurcations)

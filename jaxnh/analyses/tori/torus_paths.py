@@ -2,7 +2,7 @@
 
 Unknown are the points of an invariant curve at its nodes, its rotation number and the parameter, so that folds of tori
 are points like others (Schilder, Osinga and Vogt, SIAM J. Appl. Dyn. Syst. 4 (2005) 459). The phase along the curve is
-fixed against the iterate before. Harmonics are doubled where the last ones are no longer rounding. Host code.
+fixed against the curve before. Harmonics are doubled where the last ones are no longer rounding. Host code.
 """
 
 from __future__ import annotations
@@ -65,17 +65,30 @@ class TorusEquations(EquationsOfPaths):
         iterates: n.
         winding: whole turns of each coordinate along K, which the unknowns are without.
         harmonics: m.
+        reference: the curve before, that the phase is fixed against; without, it is left as it is in each iterate.
     """
 
-    def __init__(self, family: Family, iterates: int, winding: Int[np.ndarray, " d"], harmonics: int) -> None:
-        self._family, self._winding, self.iterates = family, winding, iterates
+    def __init__(
+        self,
+        family: Family,
+        iterates: int,
+        winding: Int[np.ndarray, " d"],
+        harmonics: int,
+        reference: InvariantCurve | None = None,
+    ) -> None:
+        self._family, self._winding, self.iterates, self._reference = family, winding, iterates, reference
         self.harmonics, nodes = harmonics, 2 * harmonics + 1
         self.unit = np.concatenate([np.tile(family.size, nodes) * np.sqrt(nodes), [1.0, family.width]])
         self.low, self.high = np.array([family.low]), np.array([family.high])
 
     def with_harmonics(self, m: int) -> TorusEquations:
         """The same equations of curves with so many harmonics."""
-        return TorusEquations(self._family, self.iterates, self._winding, m)
+        reference = None if self._reference is None else self._reference.with_harmonics(m)
+        return TorusEquations(self._family, self.iterates, self._winding, m, reference)
+
+    def after(self, z: Float[np.ndarray, " N"]) -> TorusEquations:
+        """The same equations of curves in phase with a solution: guesses are not, and their error would grow."""
+        return TorusEquations(self._family, self.iterates, self._winding, self.harmonics, self.torus(z).curve)
 
     def unknowns(self, torus: Torus) -> Float[np.ndarray, "1 N"]:
         """The unknowns of a torus, with as many harmonics as there are here."""
@@ -105,6 +118,10 @@ class TorusEquations(EquationsOfPaths):
         torus = self.torus(z)
         image, matrices, column = self._image(torus)
         missing, square = invariance_system(torus.curve, image, matrices, self._family.wrap)
+        if self._reference is not None:
+            along = self._reference.tangents(np.arange(len(image)) / len(image)) / torus.curve.size / len(image)
+            square[-1, :-1] = along.ravel()
+            missing[-1] = np.sum(along * (self._reference.periodic - torus.curve.periodic) / torus.curve.size)
         size = np.append(np.tile(torus.curve.size, len(image)), 1.0)
         whole = np.concatenate([square, np.append((column / torus.curve.size).ravel(), 0.0)[:, None]], axis=1)
         whole *= self.unit / np.append(size, 1.0)
@@ -271,6 +288,8 @@ def follow_tori(equations: TorusEquations, start: Solution, steps: StepControl, 
         if resolved and end != NO_CONVERGENCE:
             if len(ended):
                 return TorusBranch(equations.iterates, tori, (START, end))
+            equations = equations.after(last.z[0])
+            path.move(equations, last, lambda z: z)
             continue
         if 2 * equations.harmonics > most:
             return TorusBranch(equations.iterates, tori, (START, NO_CONVERGENCE if resolved else UNRESOLVED))
