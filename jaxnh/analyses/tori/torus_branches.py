@@ -52,9 +52,8 @@ from jaxnh.analyses.tori.torus_paths import (
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.orbits.bifurcations.hopf_cycles import hopf_points
 from jaxnh.orbits.continuation.arclength import Family
-from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import NEIMARK_SACKER
-from jaxnh.orbits.continuation.paths import ENDS, StepControl
+from jaxnh.orbits.continuation.paths import ENDS
 
 _OWN_NAMES = (
     "torus_branch", "torus_point", "normal", "theta", "kind", "rotation", "rotation_error", "growth", "growth_error",
@@ -76,11 +75,6 @@ def check(options: TorusBranchesOptions, setting: Setting) -> None:
 
 def _as_branches(options: TorusBranchesOptions) -> BranchesOptions:
     return BranchesOptions(transient=options.transient, max_period=options.max_period)
-
-
-def _steps(options: TorusBranchesOptions) -> StepControl:
-    """Steps along branches; tori are nearly neutral beside bifurcations, and Newton's steps say less of errors."""
-    return step_control(options)._replace(tolerance=FINE)
 
 
 def whole(
@@ -140,7 +134,7 @@ def _from_points(
                 continue
             if q := strong_resonance(point):
                 missed.append(Unfollowed(point.value, _RESONANCE.format(q=q)))
-            elif branch := tori_at(family, n, point, _steps(options), options.harmonics):
+            elif branch := tori_at(family, n, point, step_control(options), options.harmonics):
                 followed.append(branch)
             else:
                 missed.append(Unfollowed(point.value, _NO_TORUS))
@@ -161,7 +155,7 @@ def _from_tori(
             continue
         equations, solution = start
         if not is_known(equations.torus(solution.z[0])):  # a motion may still be on its way to its torus
-            followed.append(tori_through(equations, solution, _steps(options), options.harmonics))
+            followed.append(tori_through(equations, solution, step_control(options), options.harmonics))
     return followed
 
 

@@ -24,7 +24,7 @@ from jaxnh.orbits.continuation.paths import COLLAPSED, NO_CONVERGENCE, START, UN
 
 _FIRST_HARMONICS = 8  # of a curve beside a Neimark–Sacker point
 _AMPLITUDES = 0.02, 0.005, 0.08, 0.002  # natural ones, of curves that Newton begins with beside such a point
-_NATURAL = 0.1  # widths of the range, by which the parameter differs where the amplitude is the natural one
+_NATURAL = 0.4  # widths of the range, by which the parameter differs where the amplitude is the natural one
 _LARGEST = 10.0  # sizes of the motion: the natural amplitude at most
 _IN_PLANE = 1e-9  # of the critical vector in sizes: what is less takes no part in it
 _STRONG = 1e-3  # turns from a resonance, within which the normal form is none of tori
@@ -177,7 +177,7 @@ class TorusEquations(EquationsOfPaths):
 def natural_units(family: Family, point: HopfPoint) -> tuple[Family, float]:
     """The family in sizes of the tori that a Neimark–Sacker point begins, and their amplitude of one length.
 
-    By the normal form it is that of the torus a tenth of the range from the point. Sizes of orbits may be none of tori:
+    By the normal form it is that of the torus 0.4 of the range from the point. Sizes of orbits may be none of tori:
     an orbit may rest in coordinates that its tori move in, and may be much larger than these.
     """
     in_sizes = np.abs(point.vector) / family.size

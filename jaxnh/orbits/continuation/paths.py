@@ -59,14 +59,12 @@ class StepControl(NamedTuple):
         max_steps: points of a curve in either direction.
         ds: first step, by default a tenth of the largest.
         ds_min: smallest step.
-        tolerance: step of Newton after which a point is known.
     """
 
     ds_max: float = 0.02
     max_steps: int = 2000
     ds: float | None = None
     ds_min: float = 1e-7
-    tolerance: float = ROUGH
 
 
 STEPS = StepControl()
@@ -176,7 +174,7 @@ class Path:
         polynomials = _polynomials(unit, self._past)
         guess = self._guess(polynomials, np.minimum(self._size[active], equations.room(now)))
         step = guess.step
-        taken = correct(equations, guess.z, guess.across, control.tolerance, np.maximum(NEAR * step, ROUGH))
+        taken = correct(equations, guess.z, guess.across, ROUGH, np.maximum(NEAR * step, ROUGH))
         lost = ~np.isfinite(taken.residual) & (taken.missed == 0.0)  # at the guess itself
         with np.errstate(invalid="ignore"):
             share = np.where(step > 0.0, taken.missed / np.maximum(step, control.ds_min), 0.0)
