@@ -141,7 +141,7 @@ def grow_branches(
     batch: LaneBatch,
     lanes: LaneRunner,
     settled: SettledOrbits,
-    further: Sequence[SeedOrbit] = (),
+    seeds: Sequence[SeedOrbit] = (),
 ) -> list[FollowedBranches]:
     """All branches over the first axis: first those of orbits, then, where they are asked for, those of equilibria.
 
@@ -150,12 +150,12 @@ def grow_branches(
         batch: lanes along the axis.
         lanes: runs lanes.
         settled: motions of the lanes.
-        further: orbits to begin with beside those of lanes.
+        seeds: orbits to begin with beside those of lanes.
     """
     axis, (period, u, size) = batch.first_axis, settled
     unit = motion_unit([batch], lanes, period, size, options.box)
     ends = float(axis.values.min()), float(axis.values.max())
-    waves = [*attractor_waves(batch, lanes, u, period), list(further)]
+    waves = [*attractor_waves(batch, lanes, u, period), list(seeds)]
     sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
     sample = batch.take(np.argsort(axis.values, kind="stable")[sampled])
     if options.n_starts:

@@ -43,10 +43,10 @@ def orbits_within_motions(
     sample = batch.take(unsettled[places])
     u, values = motions.u[unsettled[places]], sample.first_axis.values
     size, wrap = motion_unit([batch], lanes, settled.period, settled.size, {}), batch.chart.wrap
-    begun = points_from(sample, lanes, first_points(sample, lanes), limit)
+    starts = points_from(sample, lanes, first_points(sample, lanes), limit)
     period, seeds = period_map(batch, lanes, batch.strobe()), list[SeedOrbit]()
     for n in range(1, limit + 1):
-        guesses = np.concatenate([_means(u, n, np.array(batch.chart.angles)), begun[:, :n]])
+        guesses = np.concatenate([_means(u, n, np.array(batch.chart.angles)), starts[:, :n]])
         lane = np.tile(np.arange(sample.count), 2)
         known = np.isfinite(guesses).all(axis=(1, 2))
         guesses, lane = guesses[known], lane[known]

@@ -1,7 +1,8 @@
 """Branches of tori over the first axis: from Neimark–Sacker points, and through tori that lanes move on.
 
-Neimark–Sacker points are those of the branches of orbits that lanes settle on (`continuation.branches`), whatever
-attracts there: tori that repel are followed as well, around folds, to where they break down (`torus_paths`).
+Neimark–Sacker points are those of the branches of orbits that lanes settle on (`continuation.branches`) or that Newton
+comes to within their motions (`orbit_seeds`), whatever attracts there: tori that repel are followed as well, around
+folds, to where they break down (`torus_paths`).
 """
 
 from __future__ import annotations
@@ -89,8 +90,8 @@ def whole(
         motions = tori.turning_motions(options, batch, lanes)
         curves = tori.curves_of_motions(options, batch, motions)
     with lanes.stage("torus_branches: orbits within motions", 0):
-        further = orbits_within_motions(batch, lanes, settled, motions, options.max_period)
-    orbits, *_ = branches.grow_branches(of_branches, batch, lanes, settled, further)
+        seeds = orbits_within_motions(batch, lanes, settled, motions, options.max_period)
+    orbits, *_ = branches.grow_branches(of_branches, batch, lanes, settled, seeds)
     curves = {k: curve for k, curve in curves.items() if np.all(curve.size < _ESCAPED * orbits.family.size)}
     family = _in_units_options(orbits.family, list(curves.values()))
     with lanes.stage("torus_branches: from Neimark–Sacker points", 0):
@@ -109,7 +110,7 @@ def _in_units_options(family: Family, curves: Sequence[InvariantCurve]) -> Famil
     return family._replace(size=np.maximum(family.size, np.median([curve.size for curve in curves], axis=0)))
 
 
-class Unfollowed(NamedTuple):
+class SkippedPoint(NamedTuple):
     """A Neimark–Sacker point that no branch begins at: the parameter, and why, in words."""
 
     value: float
@@ -118,26 +119,26 @@ class Unfollowed(NamedTuple):
 
 def _from_points(
     options: TorusBranchesOptions, family: Family, born: Sequence[Bifurcation]
-) -> tuple[list[TorusBranch], list[Unfollowed]]:
+) -> tuple[list[TorusBranch], list[SkippedPoint]]:
     """The branches that Neimark–Sacker points begin, each once, as one may end at another such point.
 
     And the points that begin none.
     """
-    followed, missed = list[TorusBranch](), list[Unfollowed]()
+    followed, missed = list[TorusBranch](), list[SkippedPoint]()
     for n in sorted({len(point.points) for point in born if point.kind == NEIMARK_SACKER}):
         mine = [point for point in born if point.kind == NEIMARK_SACKER and len(point.points) == n]
         points, value = np.stack([point.points for point in mine]), np.array([point.value for point in mine])
         known = hopf_points(family, points, value)
-        missed += [Unfollowed(v, _NO_FORM) for v in sorted({*value.tolist()} - {point.value for point in known})]
+        missed += [SkippedPoint(v, _NO_FORM) for v in sorted({*value.tolist()} - {point.value for point in known})]
         for point in known:
             if any(ends_at(family, branch, point) for branch in followed if branch.iterates == n):
                 continue
             if q := strong_resonance(point):
-                missed.append(Unfollowed(point.value, _RESONANCE.format(q=q)))
+                missed.append(SkippedPoint(point.value, _RESONANCE.format(q=q)))
             elif branch := tori_at(family, n, point, step_control(options), options.harmonics):
                 followed.append(branch)
             else:
-                missed.append(Unfollowed(point.value, _NO_TORUS))
+                missed.append(SkippedPoint(point.value, _NO_TORUS))
     return followed, missed
 
 
@@ -167,7 +168,7 @@ def _groups(
     batch: LaneBatch,
     lanes: LaneRunner,
     followed: Sequence[TorusBranch],
-    missed: Sequence[Unfollowed],
+    missed: Sequence[SkippedPoint],
 ) -> dict[str, xr.Dataset]:
     """Numbers and curves over (torus_branch, torus_point), filled up beyond the ends."""
     axis, branch, dims = batch.first_axis, "torus_branch", ("torus_branch", "torus_point")
@@ -198,7 +199,7 @@ def _groups(
 
 
 def _warnings(
-    options: TorusBranchesOptions, axis: Axis, followed: Sequence[TorusBranch], missed: Sequence[Unfollowed]
+    options: TorusBranchesOptions, axis: Axis, followed: Sequence[TorusBranch], missed: Sequence[SkippedPoint]
 ) -> list[str]:
     """Lines of a search that has come to nothing."""
     reasons: dict[str, list[str]] = {}

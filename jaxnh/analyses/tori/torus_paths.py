@@ -250,6 +250,9 @@ def is_on_branch(family: Family, branch: TorusBranch, torus: Torus) -> bool:
         return False
     value = np.array([each.value for each in branch.tori])
     numbers = np.array([_invariants(family, each) for each in branch.tori])
+    if np.isfinite(branch.born):  # there the first torus is a point
+        value, numbers = np.append(branch.born, value), np.concatenate([numbers[:1], numbers])
+        numbers[0, 1 + len(family.size) :] = 0.0
     own = _invariants(family, torus)
     for k in np.flatnonzero((value[:-1] - torus.value) * (value[1:] - torus.value) <= 0.0).tolist():
         rise = value[k + 1] - value[k]

@@ -46,15 +46,15 @@ def with_close_pairs(family: Family, branches: Sequence[Branch]) -> list[Branch]
     Of Neimark–Sacker points and Hopf points alone, as these begin what no branch of orbits shows.
     """
     column = kinds(family).index(HOPF if family.field else NEIMARK_SACKER)
-    open_ = [turn for number, branch in enumerate(branches) for turn in _turns(family, number, branch, column)]
+    active = [turn for number, branch in enumerate(branches) for turn in _turns(family, number, branch, column)]
     more: dict[int, list[tuple[Turn, CurveOrbits]]] = {}
     for _ in range(_ROUNDS):
-        if not open_:
+        if not active:
             break
-        orbits = _orbits_at(family, branches, open_)
+        orbits = _orbits_at(family, branches, active)
         tests, pairs = _tests(family, orbits, column), np.isfinite(critical(family, eigenvalues(family, orbits)))
-        left = list[Turn]()
-        for k, turn in enumerate(open_):
+        next_turns = list[Turn]()
+        for k, turn in enumerate(active):
             ends = branches[turn.branch].tests[turn.place : turn.place + 2, column]
             if not (orbits.converged[k] and pairs[k]):
                 continue
@@ -62,8 +62,8 @@ def with_close_pairs(family: Family, branches: Sequence[Branch]) -> list[Branch]
                 more.setdefault(turn.branch, []).append((turn, orbits.take(slice(k, k + 1))))
                 continue
             share = _turn(np.array([0.0, turn.share, 1.0]), np.array([ends[0], tests[k], ends[1]]))
-            left += [] if share is None else [turn._replace(share=share)]
-        open_ = left
+            next_turns += [] if share is None else [turn._replace(share=share)]
+        active = next_turns
     return [_with_points(family, branch, more.get(number, [])) for number, branch in enumerate(branches)]
 
 
