@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import jaxnh
-from tests.analyses.test_torus_branches import branch, ends, follow, turned
-from tests.flows.tori import TURN
+from tests.flows.tori import TURN, turned
+from tests.helpers.torus_branches import branch, ends, follow
 
 pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
 
