@@ -70,6 +70,16 @@ def above_saddle(mu=0.1, grown=1.5):
     return {"map": image, "coordinates": ("a", "b", "z")}
 
 
+def narrow_hopf(c=0.0, half=0.02):
+    """Hopf's normal form with the eigenvalues half^2 - c^2 +- 1.3i: cycles for |c| < half alone."""
+
+    def rhs(y, t):
+        grown = half * half - c * c - y[0] * y[0] - y[1] * y[1]
+        return grown * y[0] - 1.3 * y[1], 1.3 * y[0] + grown * y[1]
+
+    return {"rhs": rhs, "coordinates": ("x", "y")}
+
+
 def driven(mu=-0.1, omega=0.7311, drive=0.3):
     """w' = (mu + i omega + |w|^2) w about the forced orbit drive (cos t, sin t)."""
 
@@ -144,6 +154,17 @@ def test_bifurcations_within_a_step_on_branches():
     assert jaxnh.labels(points["criticality"]).to_numpy().tolist() == ["supercritical"] * 2
 
 
+def test_hopf_points_within_a_step():
+    """The same of equilibria; with the cycles that they begin."""
+    session = jaxnh.Session(narrow_hopf, start={"x": 0.3, "y": 0.1}).on("y", 0.0, "up")
+    asked = {"max_period": 1, "equilibria": 4, "box": {"x": [-0.5, 0.5], "y": [-0.5, 0.5]}}
+    groups = session.groups({"branches": asked}, c=np.linspace(-1.463, 1.537, 7))
+    points = groups["bifurcations"]
+    assert jaxnh.labels(points["kind"]).to_numpy().tolist() == ["hopf"] * 2
+    assert np.abs(np.sort(points["c"].to_numpy()) - (-0.02, 0.02)).max() < 1e-12
+    assert sorted(groups["branches"]["period"].to_numpy().tolist()) == [0, 1]
+
+
 def test_coordinate_that_the_orbit_rests_in():
     """Sizes of the orbit are none of its tori; in those of the normal form the branch goes from one end to the other."""
     session = jaxnh.Session(alternating_arch, start={"a": 0.6, "b": 0.1, "s": 1.0})
@@ -212,3 +233,26 @@ def test_strong_resonance():
     )
     assert abs(float(line.rpartition("= ")[2])) < 1e-12
     assert np.isnan(data["birth"]).all()
+
+
+@pytest.mark.slow
+def test_random_normal_forms():
+    """Of both signs, with rates, turns and shears at random: radii, and bars of rotation numbers and growths."""
+    session, rng, missed, count = jaxnh.Session(normal_form, start={"a": 0.3, "b": 0.1}), np.random.default_rng(7), 0, 0
+    for _ in range(24):
+        sign, rate, turns = rng.choice([-1.0, 1.0]), np.exp(rng.uniform(-2.5, 0.0)), rng.uniform(0.02, 0.48)
+        if min(abs(turns - 1.0 / q) for q in (2, 3, 4)) < 2e-3:
+            continue
+        fixed = {"sign": np.array([sign]), "rate": np.array([rate]), "turns": np.array([turns])}
+        data = follow(session, mu=rng.uniform(0.01, 0.03) + np.linspace(-0.25, 0.2, 5), **fixed)
+        assert data.sizes["torus_branch"] == 1, fixed
+        assert abs(float(data["birth"][0])) < 1e-11
+        tori = branch(data)
+        square = -sign * rate * tori["mu"].to_numpy()
+        assert np.abs(unbent(tori) - square[:, None]).max() < EXACT
+        exact = {"rotation": turns + BETA * square, "growth": np.log(1.0 + 2.0 * sign * square)}
+        for name, value in exact.items():
+            number, error = (tori[key].to_numpy().reshape(len(square)) for key in (name, f"{name}_error"))
+            missed, count = missed + int(np.sum(np.abs(number - value) > error)), count + len(square)
+    assert count > 1000
+    assert missed <= 0.01 * count
