@@ -10,6 +10,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import jaxnh
 from tests.flows.tori import TURN, turned
@@ -78,6 +79,34 @@ def narrow_hopf(c=0.0, half=0.02):
         return grown * y[0] - 1.3 * y[1], 1.3 * y[0] + grown * y[1]
 
     return {"rhs": rhs, "coordinates": ("x", "y")}
+
+
+def langford(a=0.8, f=0.0):
+    """Langford's flow (Hopf bifurcations to tori, 1984), with an axis for f = 0."""
+
+    def rhs(y, t):
+        u, v, z = y
+        rise = 0.6 + a * z - z**3 / 3 - (u * u + v * v) * (1 + 0.25 * z) + f * z * u**3
+        return (z - 0.7) * u - 3.5 * v, 3.5 * u + (z - 0.7) * v, rise
+
+    return {"rhs": rhs, "coordinates": ("u", "v", "z")}
+
+
+def cycle_about_axis(a):
+    """Duration of the cycle of Langford's flow in (r, z) for f = 0, and the mean of the divergence along it, by DOP853."""
+
+    def rhs(t, y):
+        r, z, _ = y
+        rise = 0.6 + a * z - z**3 / 3 - r * r * (1 + 0.25 * z)
+        return (z - 0.7) * r, rise, (z - 0.7) + a - z * z - 0.25 * r * r
+
+    def upward(t, y):
+        return y[1] - 0.7
+
+    upward.direction = 1.0  # pyright: ignore[reportFunctionMemberAccess]
+    path = solve_ivp(rhs, (0.0, 600.0), (0.8, 0.5, 0.0), "DOP853", events=upward, rtol=1e-12, atol=1e-12)
+    (start, end), (first, last) = path.t_events[0][-2:], path.y_events[0][-2:]
+    return end - start, (last[2] - first[2]) / (end - start)
 
 
 def driven(mu=-0.1, omega=0.7311, drive=0.3):
@@ -210,6 +239,41 @@ def test_repelling_torus_of_a_driven_flow():
     assert np.all(np.abs(tori["growth"][:, 0] + 4.0 * math.pi * mu) <= tori["growth_error"][:, 0])
 
 
+def test_langford():
+    """About an axis: the bifurcation in closed form, and the torus, a cycle that turns, by that cycle alone.
+
+    The cycle at the height z = 0.7 with r^2 (1 + 0.175) = 0.6 + 0.7 a - 0.7^3/3 begins it where a = 0.7^2 + r^2/4.
+    """
+    session = jaxnh.Session(langford, start={"u": 0.8, "z": 0.5}, target=1e-9).on("v", 0.0, "up")
+    data = follow(session, a=np.linspace(0.5, 1.0, 6))
+    assert data.sizes["torus_branch"] == 1
+    birth = (0.49 + 0.25 * (0.6 - 0.343 / 3) / 1.175) / (1.0 - 0.175 / 1.175)
+    assert abs(float(data["birth"][0]) - birth) < 1e-8
+    last = branch(data).isel(torus_point=-1)
+    assert float(last["a"]) == 1.0
+    duration, divergence = cycle_about_axis(1.0)
+    turn, rotation = TURN / 3.5, float(last["rotation"])
+    assert min(abs(rotation - each) for each in (turn / duration, 1.0 - turn / duration)) <= float(
+        last["rotation_error"]
+    )
+    assert abs(float(last["growth"][0]) - divergence * turn) <= float(last["growth_error"][0])
+    assert (float(last["rotation_error"]) < 1e-6, float(last["growth_error"][0]) < 1e-4) == (True, True)
+
+
+def test_torus_beyond_a_tongue():
+    """Beyond 5 turns in 8 tori are those of lanes, whose short motions beside a rational number tell few harmonics."""
+    session = jaxnh.Session(langford, start={"u": 0.8, "z": 0.5}, target=1e-8).on("v", 0.0, "up")
+    data = follow(session, a=np.linspace(0.5, 1.0, 11), f=np.array([0.05]))
+    every = [branch(data, k) for k in range(data.sizes["torus_branch"])]
+    value, turns = (np.concatenate([each[name].to_numpy() for each in every]) for name in ("a", "rotation"))
+    turns = np.minimum(turns, 1.0 - turns)  # either sense
+    beyond = np.flatnonzero(turns < 0.375 - 1e-3)
+    value, turns = (number[beyond[np.argsort(value[beyond])]] for number in (value, turns))
+    assert value[0] < 0.8 < value[-1]
+    lane = float(session.run(jaxnh.Rotation(), a=0.8, f=0.05)["rotation"])
+    assert abs(np.interp(0.8, value, turns) - min(lane, 1.0 - lane)) < 1e-4  # between two points of the branch
+
+
 def test_lanes_that_are_slow_to_settle():
     """The orbit that lanes are still about, on its slow way to or from them, has its bifurcation on the branch."""
     session = jaxnh.Session(normal_form, start={"a": 0.2, "b": 0.1})
@@ -223,13 +287,13 @@ def test_lanes_that_are_slow_to_settle():
 
 
 def test_strong_resonance():
-    """Beside a third of a turn there are saddles of period 3 in place of a torus: none is begun, and it is said why."""
+    """Beside a third of a turn there are saddles of period 3 in place of a torus: none is birth, and it is said why."""
     session = jaxnh.Session(normal_form, start={"a": 0.05, "b": 0.02})
     fixed = {"turns": np.array([1.0 / 3.0]), "quadratic": np.array([0.3])}
     data = follow(session, mu=np.linspace(-0.1, 0.02, 4), **fixed)
     line = data.attrs["warnings"].splitlines()[0]
     assert line.startswith(
-        "torus_branches: no torus is begun in the strong resonance 1:3 of the Neimark–Sacker points at mu = "
+        "torus_branches: no torus is birth in the strong resonance 1:3 of the Neimark–Sacker points at mu = "
     )
     assert abs(float(line.rpartition("= ")[2])) < 1e-12
     assert np.isnan(data["birth"]).all()

@@ -45,6 +45,7 @@ from jaxnh.analyses.tori.torus_paths import (
     TorusBranch,
     ends_at,
     is_on_branch,
+    is_part,
     strong_resonance,
     tori_at,
     tori_through,
@@ -98,7 +99,8 @@ def whole(
         followed, missed = _from_points(options, family, orbits.tree.bifurcations)
     with lanes.stage(f"torus_branches: from motions of {len(curves)} lanes", 0):
         values = batch.first_axis.values
-        followed += _from_tori(options, family, [Torus(c, float(values[k])) for k, c in curves.items()], followed)
+        moved_on = [Torus(curve, float(values[k])) for k, curve in curves.items()]
+        followed = _with_tori(options, family, moved_on, followed)
     with lanes.stage(f"torus_branches: what is normal to {sum(len(each.tori) for each in followed)} tori", 0):
         return _groups(options, batch, lanes, followed, missed)
 
@@ -142,21 +144,28 @@ def _from_points(
     return followed, missed
 
 
-def _from_tori(
+def _with_tori(
     options: TorusBranchesOptions, family: Family, tori_of_lanes: Sequence[Torus], known: Sequence[TorusBranch]
 ) -> list[TorusBranch]:
-    """The branches through tori that lanes move on, those that are known left out."""
-    followed = list[TorusBranch]()
+    """The known branches and those through tori that lanes move on and that none of them has.
+
+    One that has all of a known branch, and has gone on where that ended, stands in its place.
+    """
+    followed = list(known)
 
     def is_known(torus: Torus) -> bool:
-        return any(is_on_branch(family, branch, torus) for branch in (*known, *followed))
+        return any(is_on_branch(family, branch, torus) for branch in followed)
 
     for torus in tori_of_lanes:
         if is_known(torus) or (start := torus_through(family, torus)) is None:
             continue
         equations, solution = start
-        if not is_known(equations.torus(solution.z[0])):  # a motion may still be on its way to its torus
-            followed.append(tori_through(equations, solution, step_control(options), options.harmonics))
+        if is_known(equations.torus(solution.z[0])):  # a motion may still be on its way to its torus
+            continue
+        branch = tori_through(equations, solution, step_control(options), options.harmonics)
+        parts = [each for each in followed if is_part(family, each, branch)]
+        followed = [each for each in followed if not any(each is part for part in parts)]
+        followed.append(branch.born_at(next((part.born for part in parts if np.isfinite(part.born)), np.nan)))
     return followed
 
 

@@ -31,6 +31,7 @@ _STRONG = 1e-3  # turns from a resonance, within which the normal form is none o
 _SMALLEST = 1e-3  # lengths: a curve that is smaller has come to an orbit
 _BESIDE = 0.2  # lengths from a Neimark–Sacker point: a curve that comes to an orbit here has come to this one
 _SAME = 1e-3  # turns, and sizes of the motion: a torus this near to a branch is on it
+_COMPARED = 5  # tori of a branch, with another one
 _TINY = np.finfo(float).tiny
 
 
@@ -55,6 +56,12 @@ class TorusBranch(NamedTuple):
     tori: list[Torus]
     ends: tuple[int, int]
     born: float = np.nan
+
+    def born_at(self, value: float) -> TorusBranch:
+        """The branch from its end that is nearer to a value of the parameter on, born there; as it is without one."""
+        if not abs(self.tori[-1].value - value) < abs(self.tori[0].value - value):
+            return self._replace(born=value)
+        return TorusBranch(self.iterates, self.tori[::-1], (self.ends[1], self.ends[0]), value)
 
 
 class TorusEquations(EquationsOfPaths):
@@ -260,6 +267,12 @@ def is_on_branch(family: Family, branch: TorusBranch, torus: Torus) -> bool:
         if np.all(np.abs(own - between) <= _SAME + 0.5 * np.abs(numbers[k + 1] - numbers[k])):
             return True
     return False
+
+
+def is_part(family: Family, part: TorusBranch, branch: TorusBranch) -> bool:
+    """Return whether all of a branch of tori, as far as a few of them tell, is on another."""
+    places = np.linspace(0, len(part.tori) - 1, _COMPARED).round().astype(int)
+    return part.iterates == branch.iterates and all(is_on_branch(family, branch, part.tori[k]) for k in places)
 
 
 def _invariants(family: Family, torus: Torus) -> Float[np.ndarray, " 1+2d"]:
