@@ -287,13 +287,13 @@ def test_lanes_that_are_slow_to_settle():
 
 
 def test_strong_resonance():
-    """Beside a third of a turn there are saddles of period 3 in place of a torus: none is birth, and it is said why."""
+    """Beside a third of a turn there are saddles of period 3 in place of a torus: none is begun, and it is said why."""
     session = jaxnh.Session(normal_form, start={"a": 0.05, "b": 0.02})
     fixed = {"turns": np.array([1.0 / 3.0]), "quadratic": np.array([0.3])}
     data = follow(session, mu=np.linspace(-0.1, 0.02, 4), **fixed)
     line = data.attrs["warnings"].splitlines()[0]
     assert line.startswith(
-        "torus_branches: no torus is birth in the strong resonance 1:3 of the Neimark–Sacker points at mu = "
+        "torus_branches: no torus is begun in the strong resonance 1:3 of the Neimark–Sacker points at mu = "
     )
     assert abs(float(line.rpartition("= ")[2])) < 1e-12
     assert np.isnan(data["birth"]).all()
