@@ -10,16 +10,10 @@ import pytest
 
 import jaxnh
 from jaxnh.exceptions import InputError
-from tests.flows.tori import GOLDEN, TURN, bent_circle, skew, tube
+from tests.flows.tori import GOLDEN, TURN, bent_circle, skew, tube, turned
+from tests.helpers.torus_branches import STEPS, branch, ends, follow
 
 pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
-
-STEPS = {"transient": 256, "periods": 256}
-
-
-def turned(a, b, angle, grown):
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return grown * (c * a - s * b), grown * (s * a + c * b)
 
 
 def folded(mu=-0.1, rate=0.3, beta=0.3, shear=0.4):
@@ -55,23 +49,6 @@ def arch(c=0.0, rate=0.2):
         return turned(y[0], y[1], TURN * (0.2345 + 0.1 * square + 0.05 * c), 1.0 + rate * (1.0 - c * c - square))
 
     return {"map": image, "coordinates": ("a", "b")}
-
-
-def follow(session, max_period=1, **axes):
-    """Numbers and curves of all branches."""
-    groups = session.groups({"torus_branches": STEPS | {"max_period": max_period}}, **axes)
-    return groups["torus_branches"].merge(groups["torus_curves"], combine_attrs="override")
-
-
-def branch(data, number=0):
-    """Variables of a branch by name, without what is beyond its end."""
-    one = data.isel(torus_branch=number)
-    known = np.isfinite(one[str(data.attrs["along"])].to_numpy())
-    return one.isel(torus_point=known)
-
-
-def ends(data):
-    return [jaxnh.labels(data[name]).to_numpy().tolist() for name in ("begins", "ends")]
 
 
 def test_around_a_fold():

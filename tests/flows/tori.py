@@ -10,6 +10,12 @@ TURN = 2 * math.pi
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
+def turned(a, b, angle, grown):
+    """A point turned by an angle about the origin, and its distance from there times a factor."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return grown * (c * a - s * b), grown * (s * a + c * b)
+
+
 def skew(c=0.5, e=0.3, k=0.0):
     """x -> x + 2 pi g, and two coordinates that it drives: w = Im(exp(ix)/(exp(2 pi i g) - c)) is invariant for k = 0."""
 

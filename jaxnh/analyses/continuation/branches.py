@@ -137,13 +137,25 @@ def _searched(options: BranchesOptions, lanes: int) -> str:
 
 
 def grow_branches(
-    options: BranchesOptions, batch: LaneBatch, lanes: LaneRunner, settled: SettledOrbits
+    options: BranchesOptions,
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    settled: SettledOrbits,
+    seeds: Sequence[SeedOrbit] = (),
 ) -> list[FollowedBranches]:
-    """All branches over the first axis: first those of orbits, then, where they are asked for, those of equilibria."""
+    """All branches over the first axis: first those of orbits, then, where they are asked for, those of equilibria.
+
+    Args:
+        options: of the branches.
+        batch: lanes along the axis.
+        lanes: runs lanes.
+        settled: motions of the lanes.
+        seeds: orbits to begin with beside those of lanes.
+    """
     axis, (period, u, size) = batch.first_axis, settled
     unit = motion_unit([batch], lanes, period, size, options.box)
     ends = float(axis.values.min()), float(axis.values.max())
-    waves = attractor_waves(batch, lanes, u, period)
+    waves = [*attractor_waves(batch, lanes, u, period), list(seeds)]
     sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
     sample = batch.take(np.argsort(axis.values, kind="stable")[sampled])
     if options.n_starts:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from jaxnh.analyses.continuation.known_branches import SAME, KnownBranches, same_orbit
+from jaxnh.orbits.bifurcations.close_pairs import with_close_pairs
 from jaxnh.orbits.bifurcations.grazing import GrazingOrbit
 from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, locate_near, neutral_pair
 from jaxnh.orbits.bifurcations.normal_forms import cubic
@@ -217,6 +218,7 @@ def _add_branches(
     And orbits of the shorter period where a branch ends because it was born in a doubling.
     """
     count, n = len(tree.branches), new[0].period
+    new = with_close_pairs(families[0], new)
     tree = tree._replace(branches=[*tree.branches, *new])
     parents = [orbit for branch in new for orbit in _parents(families[0], branch)]
     stretch = brackets(families[0], new)

@@ -22,6 +22,7 @@ from jaxnh.systems.flow import Flow, Parameters
 
 _STILL = 1e-9  # of the extent of starts: what moves less in a radian of the period rests
 _PHASES = (0.0, 0.29, 0.61)  # shares of a period, at which no forcing with a symmetry vanishes twice
+_ESCAPED = 1e15  # times the extent of starts: larger motions that are no orbits are on their way to infinity
 _LEAST = 0.01  # of the extent of starts: smaller motions that are no orbits are on their way to an equilibrium
 
 
@@ -61,7 +62,9 @@ def motion_unit(
         box: that random starts are drawn from; without it starts are those of the lanes.
     """
     starts = np.max([_extent_of_starts(batch, lanes, box) for batch in batches], axis=0)
-    moving = ((period > 0) | np.any(sizes > _LEAST * starts, axis=1)) & np.isfinite(sizes).all(axis=1)
+    with np.errstate(invalid="ignore"):
+        bounded = np.any(sizes > _LEAST * starts, axis=1) & np.all(sizes < _ESCAPED * starts, axis=1)
+    moving = ((period > 0) | bounded) & np.isfinite(sizes).all(axis=1)
     unit = np.median(sizes[moving], axis=0) if moving.any() else starts
     return _given_or(batches[0], unit if np.any(moving & (period > 0)) else np.maximum(unit, starts))
 

@@ -27,6 +27,7 @@ _AT_REST = 1e-9  # step, in sizes of the curve, after which one more reaches rou
 _CONTRACTION = 0.5  # of successive steps, at least
 _RESOLVED = 1e-10  # of the size of the curve: largest coefficient in the last quarter of the harmonics
 _FEWEST = 8  # harmonics
+_APART = 4.0  # turns, in all points of a motion, that two harmonics differ by which averages over it tell apart
 _FLOOR = 1e-12  # of the largest coefficient: what is less is rounding, and tells no rate of decay
 _TINY = np.finfo(float).tiny
 _DROPPED = 1e-13  # singular values of Newton's matrix, of the largest: along the family of curves
@@ -128,10 +129,13 @@ def curve_through(
     Args:
         u: successive points, angles up to whole turns.
         rotation: ρ.
-        m: harmonics.
+        m: harmonics; fewer where so many points do not tell them apart, as beside a rational ρ.
         angles: which coordinates are angles.
     """
     count = len(u)
+    turns = np.arange(1, 2 * m + 1) * rotation
+    close = np.flatnonzero(np.abs(turns - np.rint(turns)) * count < _APART)
+    m = max(1, int(close[0]) // 2) if len(close) else m
     theta = (np.arange(count) * rotation) % 1.0
     order = np.argsort(theta)
     u = np.array(u)

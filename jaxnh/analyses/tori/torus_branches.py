@@ -1,13 +1,15 @@
 """Branches of tori over the first axis: from Neimark–Sacker points, and through tori that lanes move on.
 
-Neimark–Sacker points are those of the branches of orbits that lanes settle on (`continuation.branches`), whatever
-attracts there: tori that repel are followed as well, around folds, to where they break down (`torus_paths`).
+Neimark–Sacker points are those of the branches of orbits that lanes settle on (`continuation.branches`) or that Newton
+comes to within their motions (`orbit_seeds`), whatever attracts there: tori that repel are followed as well, around
+folds, to where they break down (`torus_paths`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -37,7 +39,18 @@ from jaxnh.analyses.price import newton_price
 from jaxnh.analyses.tori import tori
 from jaxnh.analyses.tori.curve_tables import KINDS, NONE, CurveTable
 from jaxnh.analyses.tori.invariant_curves import InvariantCurve, qualities
-from jaxnh.analyses.tori.torus_paths import Torus, TorusBranch, ends_at, is_on_branch, tori_at, tori_through
+from jaxnh.analyses.tori.orbit_seeds import orbits_within_motions
+from jaxnh.analyses.tori.torus_paths import (
+    Torus,
+    TorusBranch,
+    ends_at,
+    is_on_branch,
+    is_part,
+    strong_resonance,
+    tori_at,
+    tori_through,
+    torus_through,
+)
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.orbits.bifurcations.hopf_cycles import hopf_points
 from jaxnh.orbits.continuation.arclength import Family
@@ -48,6 +61,10 @@ _OWN_NAMES = (
     "torus_branch", "torus_point", "normal", "theta", "kind", "rotation", "rotation_error", "growth", "growth_error",
     "decay", "harmonics", "residual", "period", "birth", "begins", "ends",
 )  # fmt: skip
+_NO_FORM = "the normal form is not known at the Neimark–Sacker points"
+_NO_TORUS = "Newton confirms no torus beside the Neimark–Sacker points"
+_RESONANCE = "no torus is begun in the strong resonance 1:{q} of the Neimark–Sacker points"
+_ESCAPED = 1e15  # sizes of the motion: larger curves are of motions on their way to infinity
 _WORK = 3.0  # of a run, in those of settling: a guess
 
 
@@ -69,15 +86,21 @@ def whole(
     (axis, *_), [(order, row)] = sweep.axes, sweep.rows
     batch = replace(row, axis=replace(axis, values=axis.values[order]))
     of_branches = _as_branches(options)
-    orbits, *_ = branches.grow_branches(of_branches, batch, lanes, branches.settle(of_branches, batch, lanes))
+    settled = branches.settle(of_branches, batch, lanes)
     with lanes.stage(f"torus_branches: motions of {batch.count:,} lanes", tori.periods(options, batch.count)):
-        curves = tori.curves_of_motions(options, batch, tori.turning_motions(options, batch, lanes))
+        motions = tori.turning_motions(options, batch, lanes)
+        curves = tori.curves_of_motions(options, batch, motions)
+    with lanes.stage("torus_branches: orbits within motions", 0):
+        seeds = orbits_within_motions(batch, lanes, settled, motions, options.max_period)
+    orbits, *_ = branches.grow_branches(of_branches, batch, lanes, settled, seeds)
+    curves = {k: curve for k, curve in curves.items() if np.all(curve.size < _ESCAPED * orbits.family.size)}
     family = _in_units_options(orbits.family, list(curves.values()))
     with lanes.stage("torus_branches: from Neimark–Sacker points", 0):
         followed, missed = _from_points(options, family, orbits.tree.bifurcations)
     with lanes.stage(f"torus_branches: from motions of {len(curves)} lanes", 0):
         values = batch.first_axis.values
-        followed += _from_tori(options, family, [Torus(c, float(values[k])) for k, c in curves.items()], followed)
+        moved_on = [Torus(curve, float(values[k])) for k, curve in curves.items()]
+        followed = _with_tori(options, family, moved_on, followed)
     with lanes.stage(f"torus_branches: what is normal to {sum(len(each.tori) for each in followed)} tori", 0):
         return _groups(options, batch, lanes, followed, missed)
 
@@ -89,37 +112,60 @@ def _in_units_options(family: Family, curves: Sequence[InvariantCurve]) -> Famil
     return family._replace(size=np.maximum(family.size, np.median([curve.size for curve in curves], axis=0)))
 
 
+class SkippedPoint(NamedTuple):
+    """A Neimark–Sacker point that no branch begins at: the parameter, and why, in words."""
+
+    value: float
+    reason: str
+
+
 def _from_points(
     options: TorusBranchesOptions, family: Family, born: Sequence[Bifurcation]
-) -> tuple[list[TorusBranch], list[float]]:
+) -> tuple[list[TorusBranch], list[SkippedPoint]]:
     """The branches that Neimark–Sacker points begin, each once, as one may end at another such point.
 
-    And the parameter at points beside which Newton confirms no torus.
+    And the points that begin none.
     """
-    followed, missed = list[TorusBranch](), list[float]()
+    followed, missed = list[TorusBranch](), list[SkippedPoint]()
     for n in sorted({len(point.points) for point in born if point.kind == NEIMARK_SACKER}):
         mine = [point for point in born if point.kind == NEIMARK_SACKER and len(point.points) == n]
         points, value = np.stack([point.points for point in mine]), np.array([point.value for point in mine])
-        for point in hopf_points(family, points, value):
+        known = hopf_points(family, points, value)
+        missed += [SkippedPoint(v, _NO_FORM) for v in sorted({*value.tolist()} - {point.value for point in known})]
+        for point in known:
             if any(ends_at(family, branch, point) for branch in followed if branch.iterates == n):
                 continue
-            branch = tori_at(family, n, point, step_control(options), options.harmonics)
-            if branch is None:
-                missed.append(point.value)
-            else:
+            if q := strong_resonance(point):
+                missed.append(SkippedPoint(point.value, _RESONANCE.format(q=q)))
+            elif branch := tori_at(family, n, point, step_control(options), options.harmonics):
                 followed.append(branch)
+            else:
+                missed.append(SkippedPoint(point.value, _NO_TORUS))
     return followed, missed
 
 
-def _from_tori(
+def _with_tori(
     options: TorusBranchesOptions, family: Family, tori_of_lanes: Sequence[Torus], known: Sequence[TorusBranch]
 ) -> list[TorusBranch]:
-    """The branches through tori that lanes move on, those that are known left out."""
-    followed = list[TorusBranch]()
+    """The known branches and those through tori that lanes move on and that none of them has.
+
+    One that has all of a known branch, and has gone on where that ended, stands in its place.
+    """
+    followed = list(known)
+
+    def is_known(torus: Torus) -> bool:
+        return any(is_on_branch(family, branch, torus) for branch in followed)
+
     for torus in tori_of_lanes:
-        if not any(is_on_branch(family, branch, torus) for branch in (*known, *followed)):
-            branch = tori_through(family, torus, step_control(options), options.harmonics)
-            followed += [] if branch is None else [branch]
+        if is_known(torus) or (start := torus_through(family, torus)) is None:
+            continue
+        equations, solution = start
+        if is_known(equations.torus(solution.z[0])):  # a motion may still be on its way to its torus
+            continue
+        branch = tori_through(equations, solution, step_control(options), options.harmonics)
+        parts = [each for each in followed if is_part(family, each, branch)]
+        followed = [each for each in followed if not any(each is part for part in parts)]
+        followed.append(branch.born_at(next((part.born for part in parts if np.isfinite(part.born)), np.nan)))
     return followed
 
 
@@ -131,7 +177,7 @@ def _groups(
     batch: LaneBatch,
     lanes: LaneRunner,
     followed: Sequence[TorusBranch],
-    missed: Sequence[float],
+    missed: Sequence[SkippedPoint],
 ) -> dict[str, xr.Dataset]:
     """Numbers and curves over (torus_branch, torus_point), filled up beyond the ends."""
     axis, branch, dims = batch.first_axis, "torus_branch", ("torus_branch", "torus_point")
@@ -162,12 +208,13 @@ def _groups(
 
 
 def _warnings(
-    options: TorusBranchesOptions, axis: Axis, followed: Sequence[TorusBranch], missed: Sequence[float]
+    options: TorusBranchesOptions, axis: Axis, followed: Sequence[TorusBranch], missed: Sequence[SkippedPoint]
 ) -> list[str]:
     """Lines of a search that has come to nothing."""
-    beside = ", ".join(f"{value:.9g}" for value in missed)
-    lines = [f"torus_branches: Newton confirms no torus beside the Neimark–Sacker points at {axis.name} = {beside}"]
-    lines = lines if missed else []
+    reasons: dict[str, list[str]] = {}
+    for point in missed:
+        reasons.setdefault(point.reason, []).append(f"{point.value:.9g}")
+    lines = [f"torus_branches: {reason} at {axis.name} = {', '.join(at)}" for reason, at in reasons.items()]
     if not followed:
         lines.append(
             f"torus_branches: there is no torus to follow along {axis.name}; looked at branches of orbits of period "

@@ -2,7 +2,7 @@
 
 Unknown are the points of an invariant curve at its nodes, its rotation number and the parameter, so that folds of tori
 are points like others (Schilder, Osinga and Vogt, SIAM J. Appl. Dyn. Syst. 4 (2005) 459). The phase along the curve is
-fixed against the iterate before. Harmonics are doubled where the last ones are no longer rounding. Host code.
+fixed against the curve before. Harmonics are doubled where the last ones are no longer rounding. Host code.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import solve_triangular
 
 from jaxnh.analyses.tori.invariant_curves import InvariantCurve, invariance_system, is_resolved
@@ -23,10 +23,15 @@ from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, Solutio
 from jaxnh.orbits.continuation.paths import COLLAPSED, NO_CONVERGENCE, START, UNRESOLVED, Path, StepControl
 
 _FIRST_HARMONICS = 8  # of a curve beside a Neimark–Sacker point
-_AMPLITUDES = 0.02, 0.005, 0.08  # lengths, of the curves that Newton begins with beside a Neimark–Sacker point
+_AMPLITUDES = 0.02, 0.005, 0.08, 0.002  # natural ones, of curves that Newton begins with beside such a point
+_NATURAL = 0.4  # widths of the range, by which the parameter differs where the amplitude is the natural one
+_LARGEST = 10.0  # sizes of the motion: the natural amplitude at most
+_IN_PLANE = 1e-9  # of the critical vector in sizes: what is less takes no part in it
+_STRONG = 1e-3  # turns from a resonance, within which the normal form is none of tori
 _SMALLEST = 1e-3  # lengths: a curve that is smaller has come to an orbit
 _BESIDE = 0.2  # lengths from a Neimark–Sacker point: a curve that comes to an orbit here has come to this one
 _SAME = 1e-3  # turns, and sizes of the motion: a torus this near to a branch is on it
+_COMPARED = 5  # tori of a branch, with another one
 _TINY = np.finfo(float).tiny
 
 
@@ -52,6 +57,12 @@ class TorusBranch(NamedTuple):
     ends: tuple[int, int]
     born: float = np.nan
 
+    def born_at(self, value: float) -> TorusBranch:
+        """The branch from its end that is nearer to a value of the parameter on, born there; as it is without one."""
+        if not abs(self.tori[-1].value - value) < abs(self.tori[0].value - value):
+            return self._replace(born=value)
+        return TorusBranch(self.iterates, self.tori[::-1], (self.ends[1], self.ends[0]), value)
+
 
 class TorusEquations(EquationsOfPaths):
     """Pⁿ(K(θ)) = K(θ + ρ) of 2m + 1 nodes of K, ρ and the parameter, as equations of the core.
@@ -61,17 +72,30 @@ class TorusEquations(EquationsOfPaths):
         iterates: n.
         winding: whole turns of each coordinate along K, which the unknowns are without.
         harmonics: m.
+        reference: the curve before, that the phase is fixed against; without, it is left as it is in each iterate.
     """
 
-    def __init__(self, family: Family, iterates: int, winding: Int[np.ndarray, " d"], harmonics: int) -> None:
-        self._family, self._winding, self.iterates = family, winding, iterates
+    def __init__(
+        self,
+        family: Family,
+        iterates: int,
+        winding: Int[np.ndarray, " d"],
+        harmonics: int,
+        reference: InvariantCurve | None = None,
+    ) -> None:
+        self._family, self._winding, self.iterates, self._reference = family, winding, iterates, reference
         self.harmonics, nodes = harmonics, 2 * harmonics + 1
         self.unit = np.concatenate([np.tile(family.size, nodes) * np.sqrt(nodes), [1.0, family.width]])
         self.low, self.high = np.array([family.low]), np.array([family.high])
 
     def with_harmonics(self, m: int) -> TorusEquations:
         """The same equations of curves with so many harmonics."""
-        return TorusEquations(self._family, self.iterates, self._winding, m)
+        reference = None if self._reference is None else self._reference.with_harmonics(m)
+        return TorusEquations(self._family, self.iterates, self._winding, m, reference)
+
+    def after(self, z: Float[np.ndarray, " N"]) -> TorusEquations:
+        """The same equations of curves in phase with a solution: guesses are not, and their error would grow."""
+        return TorusEquations(self._family, self.iterates, self._winding, self.harmonics, self.torus(z).curve)
 
     def unknowns(self, torus: Torus) -> Float[np.ndarray, "1 N"]:
         """The unknowns of a torus, with as many harmonics as there are here."""
@@ -101,6 +125,10 @@ class TorusEquations(EquationsOfPaths):
         torus = self.torus(z)
         image, matrices, column = self._image(torus)
         missing, square = invariance_system(torus.curve, image, matrices, self._family.wrap)
+        if self._reference is not None:
+            along = self._reference.tangents(np.arange(len(image)) / len(image)) / torus.curve.size / len(image)
+            square[-1, :-1] = along.ravel()
+            missing[-1] = np.sum(along * (self._reference.periodic - torus.curve.periodic) / torus.curve.size)
         size = np.append(np.tile(torus.curve.size, len(image)), 1.0)
         whole = np.concatenate([square, np.append((column / torus.curve.size).ravel(), 0.0)[:, None]], axis=1)
         whole *= self.unit / np.append(size, 1.0)
@@ -139,14 +167,41 @@ class TorusEquations(EquationsOfPaths):
             return {}, none
         before, after = self._deviation(now.z), self._deviation(taken.z)
         with np.errstate(invalid="ignore"):
-            merged = np.sqrt(np.sum(after**2, axis=1)) <= _SMALLEST
-            collapsed = merged | (np.sum(before * after, axis=1) <= 0.0)
+            collapsed = self.is_orbit(taken.z) | (np.sum(before * after, axis=1) <= 0.0)
         return {COLLAPSED: collapsed}, collapsed
+
+    def is_orbit(self, z: Float[np.ndarray, "lanes N"]) -> Bool[np.ndarray, " lanes"]:
+        """Return whether curves are so small that they are orbits."""
+        small = np.sqrt(np.sum(self._deviation(z) ** 2, axis=1)) <= _SMALLEST
+        return small & ~np.any(self._winding)
 
     def _deviation(self, z: Float[np.ndarray, "lanes N"]) -> Float[np.ndarray, "lanes k"]:
         """Curves less their means, in lengths."""
         points = (z / self.unit)[:, :-2].reshape(len(z), -1, len(self._winding))
         return (points - points.mean(axis=1, keepdims=True)).reshape(len(z), -1)
+
+
+def natural_units(family: Family, point: HopfPoint) -> tuple[Family, float]:
+    """The family in sizes of the tori that a Neimark–Sacker point begins, and their amplitude of one length.
+
+    By the normal form it is that of the torus 0.4 of the range from the point. Sizes of orbits may be none of tori:
+    an orbit may rest in coordinates that its tori move in, and may be much larger than these.
+    """
+    in_sizes = np.abs(point.vector) / family.size
+    largest = _LARGEST / np.min(in_sizes[in_sizes > _IN_PLANE * in_sizes.max()])
+    with np.errstate(divide="ignore"):
+        amplitude = min(np.sqrt(_NATURAL * family.width / np.abs(point.bend)), largest)
+    size = np.maximum(2.0 * np.abs(point.vector) * amplitude, family.size * min(1.0, amplitude))
+    return family._replace(size=size), float(amplitude)
+
+
+def strong_resonance(point: HopfPoint) -> int | None:
+    """Return the number of iterates, up to four, after which a Neimark–Sacker point's multipliers are nearly one.
+
+    There the normal form has further terms of the orders that decide on tori, and need not begin any (Kuznetsov,
+    Elements of Applied Bifurcation Theory, 2004, 9.5). None at other points.
+    """
+    return next((q for q in range(1, 5) if abs(point.turn - round(q * point.turn) / q) < _STRONG), None)
 
 
 def tori_at(family: Family, iterates: int, point: HopfPoint, steps: StepControl, most: int) -> TorusBranch | None:
@@ -159,25 +214,29 @@ def tori_at(family: Family, iterates: int, point: HopfPoint, steps: StepControl,
         steps: how the curve is followed.
         most: harmonics at most.
     """
+    family, unit = natural_units(family, point)
     equations = TorusEquations(family, iterates, np.zeros(len(point.u), int), _FIRST_HARMONICS)
     for amplitude in _AMPLITUDES:
-        z, none = (equations.unknowns(_small_torus(point, r)) for r in (amplitude, 0.0))
+        z, none = (equations.unknowns(_small_torus(point, r)) for r in (amplitude * unit, 0.0))
         across = (z - none) / core.norm(equations.unit, z - none)[:, None]
-        now = core.correct(equations, z, across)
-        if now.converged[0] and family.low <= now.z[0, -1] <= family.high:
+        now = core.correct(equations, z, across, core.FINE)
+        if now.converged[0] and not equations.is_orbit(now.z)[0] and family.low <= now.z[0, -1] <= family.high:
             return follow_tori(equations, now, steps, most)._replace(born=point.value)
     return None
 
 
-def tori_through(family: Family, torus: Torus, steps: StepControl, most: int) -> TorusBranch | None:
-    """The curve of tori of a map through one, from one end to the other; None where Newton does not confirm it."""
+def torus_through(family: Family, torus: Torus) -> tuple[TorusEquations, Solution] | None:
+    """The torus of a map near a curve, at the same parameter; None where Newton confirms none, or has an orbit."""
     equations = TorusEquations(family, 1, torus.curve.winding, torus.curve.harmonics)
     z = equations.unknowns(torus)
     across = np.zeros_like(z)
     across[0, -1] = family.width
-    now = core.correct(equations, z, across)
-    if not now.converged[0]:
-        return None
+    now = core.correct(equations, z, across, core.FINE)
+    return None if not now.converged[0] or equations.is_orbit(now.z)[0] else (equations, now)
+
+
+def tori_through(equations: TorusEquations, now: Solution, steps: StepControl, most: int) -> TorusBranch:
+    """The curve of tori of a map through one, from one end to the other."""
     ahead, behind = (follow_tori(equations, start, steps, most) for start in (now, now.backward()))
     return TorusBranch(1, [*behind.tori[:0:-1], *ahead.tori], (behind.ends[1], ahead.ends[1]))
 
@@ -186,6 +245,7 @@ def ends_at(family: Family, branch: TorusBranch, point: HopfPoint) -> bool:
     """Return whether a branch of tori has come to an orbit beside a Neimark–Sacker point."""
     if branch.ends[1] != COLLAPSED:
         return False
+    family, _ = natural_units(family, point)
     last = branch.tori[-1]
     gap = family.wrap(last.curve.periodic.mean(axis=0) - point.u) / family.size
     return bool(np.hypot(np.linalg.norm(gap), (last.value - point.value) / family.width) < _BESIDE)
@@ -197,6 +257,9 @@ def is_on_branch(family: Family, branch: TorusBranch, torus: Torus) -> bool:
         return False
     value = np.array([each.value for each in branch.tori])
     numbers = np.array([_invariants(family, each) for each in branch.tori])
+    if np.isfinite(branch.born):  # there the first torus is a point
+        value, numbers = np.append(branch.born, value), np.concatenate([numbers[:1], numbers])
+        numbers[0, 1 + len(family.size) :] = 0.0
     own = _invariants(family, torus)
     for k in np.flatnonzero((value[:-1] - torus.value) * (value[1:] - torus.value) <= 0.0).tolist():
         rise = value[k + 1] - value[k]
@@ -204,6 +267,12 @@ def is_on_branch(family: Family, branch: TorusBranch, torus: Torus) -> bool:
         if np.all(np.abs(own - between) <= _SAME + 0.5 * np.abs(numbers[k + 1] - numbers[k])):
             return True
     return False
+
+
+def is_part(family: Family, part: TorusBranch, branch: TorusBranch) -> bool:
+    """Return whether all of a branch of tori, as far as a few of them tell, is on another."""
+    places = np.linspace(0, len(part.tori) - 1, _COMPARED).round().astype(int)
+    return part.iterates == branch.iterates and all(is_on_branch(family, branch, part.tori[k]) for k in places)
 
 
 def _invariants(family: Family, torus: Torus) -> Float[np.ndarray, " 1+2d"]:
@@ -235,6 +304,8 @@ def follow_tori(equations: TorusEquations, start: Solution, steps: StepControl, 
         if resolved and end != NO_CONVERGENCE:
             if len(ended):
                 return TorusBranch(equations.iterates, tori, (START, end))
+            equations = equations.after(last.z[0])
+            path.move(equations, last, lambda z: z)
             continue
         if 2 * equations.harmonics > most:
             return TorusBranch(equations.iterates, tori, (START, NO_CONVERGENCE if resolved else UNRESOLVED))
