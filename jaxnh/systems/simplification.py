@@ -2,14 +2,18 @@
 
 What users write and what differentiation makes of it is full of products with one, sums with zero and signs that meet
 again. XLA takes out the plain ones of these, and after it has counted them; what a step is written out of is decided by
-the number of equations that are left here. Results are those of the function but for rounding.
+the number of equations that are left here. Results are those of the function but for rounding, and in exact arithmetic
+they are the same: numbers are put together where nothing is rounded, so that extended precision has them too.
 """
 
 from __future__ import annotations
 
 import functools
+import math
+import operator
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from fractions import Fraction
+from typing import Any, NamedTuple, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +41,13 @@ class Operation(NamedTuple):
 
 
 _COMMUTING = ("add", "add_any", "mul")
+_FOLDED: dict[str, Callable[..., Fraction]] = {
+    "add": operator.add,
+    "add_any": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "neg": operator.neg,
+}
 
 
 @functools.cache
@@ -55,14 +66,14 @@ class SimplifiedProgram(Program):
         on_numbers = all(
             not np.shape(atom.aval) and atom.aval.dtype == jnp.float64 for atom in (*equation.invars, *out)
         )
-        if len(out) != 1 or not on_numbers or equation.effects or equation.primitive.name.startswith("custom_"):
+        name, several = equation.primitive.name, equation.primitive.multiple_results
+        if len(out) != 1 or several or not on_numbers or equation.effects or name.startswith("custom_"):
             return super()._add(equation, reads)
-        name = equation.primitive.name
         if name == "convert_element_type":
             return reads
-        if all(isinstance(read, KnownValue) for read in reads):
-            with jax.ensure_compile_time_eval():
-                return (_constant(equation.primitive.bind(*(read.value for read in reads), **equation.params)),)
+        known = [Fraction(_float(read)) for read in reads if _is_finite(read)]
+        if len(known) == len(reads) and name in _FOLDED and (folded := _rounded(_FOLDED[name](*known))) is not None:
+            return (_constant(folded),)
         if name == "integer_pow" and equation.params["y"] < 0:
             return (_negative_power(self, *reads, equation.params["y"]),)
         rule = _RULES.get(name)
@@ -80,17 +91,41 @@ class SimplifiedProgram(Program):
         step = None if isinstance(value, KnownValue) else self.step_of(value)
         return step.reads if step is not None and step.equation.primitive.name == name else ()
 
-    def scaled(self, value: Value) -> tuple[float, Value]:
-        """A value as a number times another one."""
+    def scaled(self, value: Value) -> tuple[float, Value | None]:
+        """A value as a number times another one, or None of a number."""
+        if isinstance(value, KnownValue):
+            return _float(value), None
         if inner := self.parts("neg", value):
             return -1.0, inner[0]
         if (inner := self.parts("mul", value)) and isinstance(inner[0], KnownValue):
-            return float(inner[0].value), inner[1]
+            return _float(inner[0]), inner[1]
         return 1.0, value
 
 
-def _constant(value: Any) -> KnownValue:
+def _constant(value: float) -> KnownValue:
     return KnownValue(np.float64(value))
+
+
+def _float(value: KnownValue) -> float:
+    return float(value.value)
+
+
+def _is_finite(value: Value) -> TypeGuard[KnownValue]:
+    return isinstance(value, KnownValue) and math.isfinite(_float(value))
+
+
+def _rounded(exact: Fraction) -> float | None:
+    """A number in double precision; None where it would be rounded."""
+    try:
+        value = float(exact)
+    except OverflowError:
+        return None
+    return value if Fraction(value) == exact else None
+
+
+def _times(x: float, y: float) -> float | None:
+    """The product of two numbers; None where it would be rounded."""
+    return _rounded(Fraction(x) * Fraction(y)) if math.isfinite(x) and math.isfinite(y) else None
 
 
 def _place(value: Value) -> tuple[int, float]:
@@ -132,7 +167,9 @@ def _negative(program: SimplifiedProgram, x: Value) -> Value:
     if inner := program.parts("sub", x):
         return _difference(program, inner[1], inner[0])
     factor, rest = program.scaled(x)
-    return _multiple(program, -factor, rest) if factor != 1.0 else program.written(_operation("neg"), x)
+    if factor == 1.0 or rest is None:
+        return program.written(_operation("neg"), x)
+    return _multiple(program, -factor, rest)
 
 
 def _multiple(program: SimplifiedProgram, factor: float, x: Value) -> Value:
@@ -145,31 +182,35 @@ def _multiple(program: SimplifiedProgram, factor: float, x: Value) -> Value:
 
 
 def _product(program: SimplifiedProgram, x: Value, y: Value) -> Value:
-    if isinstance(y, KnownValue):
-        x, y = y, x
-    if isinstance(x, KnownValue):
-        factor, rest = program.scaled(y)
-        return _multiple(program, float(x.value) * factor, rest)
-    (first, x), (second, y) = program.scaled(x), program.scaled(y)
-    return _multiple(program, first * second, program.written(_operation("mul"), x, y))
+    (first, x_rest), (second, y_rest) = program.scaled(x), program.scaled(y)
+    factor = _times(first, second)
+    if factor is None:
+        return program.written(_operation("mul"), x, y)
+    if x_rest is None or y_rest is None:
+        rest = y_rest if x_rest is None else x_rest
+        return _constant(factor) if rest is None else _multiple(program, factor, rest)
+    return _multiple(program, factor, program.written(_operation("mul"), x_rest, y_rest))
 
 
 def _quotient(program: SimplifiedProgram, x: Value, y: Value) -> Value:
-    """A product with the reciprocal, which other quotients and derivatives share."""
-    if isinstance(y, KnownValue):
-        inverse = 1.0 / float(y.value) if float(y.value) else np.inf
-        if not 0.0 < abs(inverse) < np.inf:
-            return program.written(_operation("div"), x, y)
-        return _product(program, x, _constant(inverse))
+    """A product with the reciprocal, which other quotients and derivatives share; of a number where that is exact."""
     factor, rest = program.scaled(y)
-    if abs(factor) != 1.0:
-        factor, rest = 1.0, y
-    return _product(program, x, _multiple(program, factor, program.written(_operation("div"), _constant(1.0), rest)))
+    inverse = _rounded(1 / Fraction(factor)) if factor and math.isfinite(factor) else None
+    if rest is None and inverse is None:
+        return program.written(_operation("div"), x, y)
+    if rest is None or inverse is None:
+        one_over = _constant(inverse) if inverse is not None else _reciprocal(program, y)
+        return _product(program, x, one_over)
+    return _product(program, x, _multiple(program, inverse, _reciprocal(program, rest)))
+
+
+def _reciprocal(program: SimplifiedProgram, x: Value) -> Value:
+    return program.written(_operation("div"), _constant(1.0), x)
 
 
 def _negative_power(program: SimplifiedProgram, x: Value, exponent: int) -> Value:
     """A power of the reciprocal; positive powers stay, as XLA finds out by itself where they are shared."""
-    inverse = _quotient(program, _constant(1.0), x)
+    inverse = _reciprocal(program, x)
     return inverse if exponent == -1 else program.written(_power(-exponent), inverse)
 
 

@@ -41,7 +41,9 @@ def count(program):
         (lambda x, y, z: x / 4.0, ["mul"]),
         (lambda x, y, z: x / z + y / z, ["div", "mul", "mul", "add"]),
         (lambda x, y, z: x**-2, ["div", "integer_pow"]),
-        (lambda x, y, z: jnp.sin(jnp.float64(0.5)) * x, ["mul"]),
+        (lambda x, y, z: x / 3.0, ["div"]),  # what would be rounded stays as it is written
+        (lambda x, y, z: 0.1 * (3.0 * x), ["mul", "mul"]),
+        (lambda x, y, z: jnp.sin(jnp.float64(0.5)) * x, ["sin", "mul"]),
     ],
 )
 def test_rules(function, left):
