@@ -41,7 +41,7 @@ class Operation(NamedTuple):
 
 
 _COMMUTING = ("add", "add_any", "mul")
-_FOLDED: dict[str, Callable[..., Fraction]] = {
+_FOLDED: dict[str, Callable[..., Any]] = {
     "add": operator.add,
     "add_any": operator.add,
     "sub": operator.sub,
@@ -75,7 +75,7 @@ class SimplifiedProgram(Program):
         if len(known) == len(reads) and name in _FOLDED and (folded := _rounded(_FOLDED[name](*known))) is not None:
             return (_constant(folded),)
         if name == "integer_pow" and equation.params["y"] < 0:
-            return (_negative_power(self, *reads, equation.params["y"]),)
+            return (_negative_power(self, reads[0], equation.params["y"]),)
         rule = _RULES.get(name)
         return (rule(self, *reads) if rule else self.written(Operation(equation.primitive, equation.params), *reads),)
 
@@ -155,7 +155,7 @@ def _difference(program: SimplifiedProgram, x: Value, y: Value) -> Value:
     if inner := program.parts("neg", y):
         return _sum(program, x, *inner)
     if inner := program.parts("neg", x):
-        return _negative(program, _sum(program, *inner, y))
+        return _negative(program, _sum(program, inner[0], y))
     return program.written(_operation("sub"), x, y)
 
 
