@@ -19,6 +19,10 @@ LIMIT, DELTA = 3.5699456718709449018, 4.6692016091029906718  # OEIS A098587 and 
 TO_ROUNDING = 1e-14
 
 
+def logistic(r=3.2):
+    return {"map": lambda y: r * y[0] * (1.0 - y[0]), "coordinates": "x"}
+
+
 def groups_of(map_text, config):
     """The groups that a config with a map asks for."""
     experiment = Experiment.from_text("system: {file: own.py}\n" + config, map_text)
@@ -75,6 +79,45 @@ def test_exponents_near_and_at_superstable_orbits():
     exact = np.log(np.abs(2.0 - np.array(values[2:])))
     assert np.all(np.abs(ours[2:] - exact) < error[2:])
     assert error[2:].max() < 1e-10
+
+
+def exact_exponent(r, n):
+    """ln|μ|/n of the cycle of n points of the logistic map that attracts, by Newton in fifty digits."""
+    getcontext().prec = 50
+    r, x = Decimal(r), 0.3
+    for _ in range(100_000):
+        x = float(r) * x * (1.0 - x)
+    x = Decimal(x)
+    for _ in range(40):
+        image, slope = x, Decimal(1)
+        for _ in range(n):
+            image, slope = r * image * (1 - image), slope * r * (1 - 2 * image)
+        x -= (image - x) / (slope - 1)
+    assert abs(image - x) < Decimal("1e-40")
+    return float(abs(slope).ln() / n)
+
+
+@pytest.mark.parametrize(
+    ("n", "values"), [(3, 1 + 8**0.5 + np.array([1e-9, 1e-8, 1e-6])), (2, 3 + np.array([1e-6, 1e-5, 1e-4]))]
+)
+def test_exponents_of_orbits_just_born(n, values):
+    """Beside a fold and a doubling a rounding moves an orbit, and its multiplier, by many of its own: bars have that."""
+    data = jaxnh.Session(logistic, start={"x": 0.3}).run(jaxnh.Lyapunov(periods=4096), r=values)
+    assert kinds_of(data, "exponents_method") == ["orbit"] * 3
+    off = np.abs(data["exponents"].to_numpy()[:, 0] - [exact_exponent(float(r), n) for r in values])
+    error = data["exponents_error"].to_numpy()[:, 0]
+    assert np.all(off <= error)
+    assert error.max() < 1e-9
+
+
+def test_no_orbit_before_its_fold():
+    """Below r = 1 + √8 there is no cycle of three, however near to itself a point comes; at 3 there is none of two."""
+    values = np.append(1 + 8**0.5 - np.array([1e-9, 1e-8, 1.247e-7, 1e-6]), 3.0)
+    session = jaxnh.Session(logistic, start={"x": 0.3})
+    assert not np.any(session.run(jaxnh.Period(), r=values)["period"])
+    data = session.run(jaxnh.Lyapunov(periods=4096), r=values)
+    assert "orbit" not in kinds_of(data, "exponents_method")[:4]
+    assert abs(data["exponents"].to_numpy()[4, 0]) <= data["exponents_error"].to_numpy()[4, 0]
 
 
 LOZI = """
