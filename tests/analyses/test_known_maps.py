@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from decimal import Decimal, getcontext
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 import jaxnh
 from jaxnh.engine.experiment import Experiment
@@ -292,6 +293,51 @@ def test_window_of_period_three():
 
 
 # ---- basins
+
+
+def arnold(omega=0.5, k=0.95):
+    return {
+        "map": lambda y: (y[0] + 2 * jnp.pi * omega - k * jnp.sin(y[0]),),
+        "coordinates": ("angle",),
+        "angles": ("angle",),
+    }
+
+
+def border_of_the_half(k, side):
+    """The border of the tongue of 1/2: the least, or largest, of the values at which an angle has come round in two."""
+
+    def value(x):
+        def missing(w):
+            image = x + 2 * np.pi * w - k * np.sin(x)
+            return image + 2 * np.pi * w - k * np.sin(image) - x - 2 * np.pi
+
+        return brentq(missing, 0.4, 0.6, xtol=1e-15)
+
+    best = min(np.linspace(-np.pi, np.pi, 200), key=lambda x: side * value(x))
+    return value(minimize_scalar(lambda x: side * value(x), bracket=(best - 0.05, best, best + 0.05), tol=1e-9).x)
+
+
+def test_window_of_points_half_a_turn_apart():
+    """Two points of a circle go away from each other beyond half a turn, and not through each other."""
+    session = jaxnh.Session(arnold, start={"angle": 0.3})
+    data = session.run(jaxnh.Windows(max_period=2), omega=np.linspace(0.44, 0.56, 61))
+    [begin], [end] = (data[name].to_numpy()[data["period"] == 2] for name in ("begin", "end"))
+    for ours, side in ((begin, 1), (end, -1)):
+        assert abs(ours - border_of_the_half(0.95, side)) < 1e-12
+
+
+def test_curves_of_the_tongue_of_a_half():
+    """Its two borders, each once, and the doubling of its orbit, which is lowest at K = √2, Omega = 1/2."""
+    session = jaxnh.Session(arnold, start={"angle": 0.3})
+    axes = {"omega": np.linspace(0.4, 0.6, 11), "k": np.array([0.6, 1.5])}
+    data = session.run(jaxnh.Curves(max_period=2, n_values=2), **axes)
+    kind, period = np.array(kinds_of(data)), data["period"].to_numpy()
+    assert np.count_nonzero((kind == "fold") & (period == 2)) == 2
+    [doubling] = np.flatnonzero((kind == "period doubling") & (period == 2))
+    omega, k = (data[name].to_numpy()[doubling] for name in ("omega", "k"))
+    assert np.nanmin(omega) < 0.48
+    assert np.nanmax(omega) > 0.52
+    assert 0.0 <= np.nanmin(k) - 2**0.5 < 1e-3
 
 
 def test_basins_of_two_fixed_points():
