@@ -45,8 +45,8 @@ def _ends_by_the_sum(
 ) -> list[Float[np.ndarray, " lanes"]]:
     """Return the ends of the dimension where the sum S of all exponents is known, at most these.
 
-    With the sum Λ of all but the last it is k − 1 + Λ/(Λ − S) where Λ ≥ 0 > S, and grows with both. Λ errs by no more than
-    its exponents, and by no more than the last one and the sum.
+    With the sum Λ of all but the last it is k − 1 + Λ/(Λ − S) where Λ ≥ 0 > S, and grows with both. Λ errs by no more
+    than its exponents, and by no more than the last one and the sum.
     """
     k = exponents.shape[1]
     total, others = exponents.sum(axis=1), exponents[:, :-1].sum(axis=1)
