@@ -95,7 +95,8 @@ def _contracts(
 ) -> Bool[np.ndarray, " lanes"]:
     """Return whether Newton's step from each point hardly changes M − 1 along itself."""
     every, identity = np.arange(len(u)), np.eye(u.shape[1])
-    image, monodromy, _ = at(u, every)
+    here = at(u, every)
+    image, monodromy = np.asarray(here.image), np.asarray(here.monodromy)
     step = solve(monodromy - identity, chart.wrap(u - image))
     change = np.asarray(at(u + step, every).monodromy) - monodromy
     next_step = solve(monodromy - identity, (change @ step[..., None])[..., 0])
