@@ -161,7 +161,8 @@ def _sum_and_dimension(
     # Without a clock the exponent along the flow counts as well.
     of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
     source = "of the flow" if batch.flow.autonomous else of_strobes
-    missed = np.abs(exponents.sum(axis=1) - total.mean / period) + total.error / period
+    with np.errstate(invalid="ignore"):  # of orbits that are superstable both are −∞
+        missed = np.abs(exponents.sum(axis=1) - total.mean / period) + total.error / period
     return {
         "exponent_sum": variable(LANE, total.mean / period, words, **rate),
         "exponent_sum_error": variable(LANE, total.error / period, "error of the sum at 95 %", **rate),
