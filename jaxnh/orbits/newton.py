@@ -18,6 +18,9 @@ from jaxnh.systems.chart import Wrap
 NEWTON_STEPS = 12
 # Residuals and steps in sizes of the motion.
 NEWTON_TOLERANCE = 1e-9  # residual after which one more step reaches the rounding floor
+LAST_STEP = (
+    1e-8  # length of a step after which the next one does: beside a bifurcation small residuals are no such sign
+)
 LARGEST_STEP = 0.25
 PATIENCE, NEAR = 4, 1e-2  # after so many steps a lane with a residual above this is given up
 # Gauss–Lobatto rule of five points on [−1, 1], exact to degree 7.
@@ -79,8 +82,8 @@ def find_orbits(
         step = solve(monodromy[open_] - np.eye(d), missing[open_])
         solved = np.all(np.isfinite(step), axis=1)  # with a multiplier of exactly one there is no step: the point stays
         open_, step = open_[solved], step[solved]
-        last[open_] = residual[open_] < NEWTON_TOLERANCE
         length = np.max(np.abs(step / size[open_]), axis=1)
+        last[open_] = (residual[open_] < NEWTON_TOLERANCE) & (length < LAST_STEP)
         u[open_] += step * np.where(length > LARGEST_STEP, LARGEST_STEP / length, 1.0)[:, None]
         steps[open_] += 1
     return Orbit(u, residual, monodromy, steps)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import ReturnMap
-from jaxnh.orbits.newton import LARGEST_STEP, NEAR, NEWTON_STEPS, NEWTON_TOLERANCE, PATIENCE, Orbit
+from jaxnh.orbits.newton import LARGEST_STEP, LAST_STEP, NEAR, NEWTON_STEPS, NEWTON_TOLERANCE, PATIENCE, Orbit
 from jaxnh.systems.elimination import eliminate
 from jaxnh.systems.flow import Parameters
 
@@ -65,7 +65,8 @@ def find_orbit(
         length = jnp.max(jnp.abs(way / size))
         way *= jnp.where(length > LARGEST_STEP, LARGEST_STEP / length, 1.0)
         orbit = Orbit(jnp.where(unfinished, u + way, u), residual, monodromy, steps + unfinished.astype(jnp.int32))
-        return _Step(orbit, unfinished & (residual < NEWTON_TOLERANCE), unfinished)
+        last = unfinished & (residual < NEWTON_TOLERANCE) & (length < LAST_STEP)
+        return _Step(orbit, last, unfinished)
 
     unknown = Orbit(u, jnp.nan, jnp.full((d, d), jnp.nan), jnp.int32(0))
     return lax.while_loop(

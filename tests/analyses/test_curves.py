@@ -25,7 +25,7 @@ from tests.helpers.paths import ROOT
 
 def test_a_curve_with_a_point_twice_passes_where_it_did():
     """From (0, 0) to (1, 1) with the middle twice, as where a curve is continued from its end: points on it are on it."""
-    plane = ParameterPlane(None, None, np.ones(1), np.zeros(2), np.ones(2))
+    plane = ParameterPlane(None, lambda gap: gap, np.ones(1), np.zeros(2), np.ones(2))
     values = np.repeat([0.0, 0.5, 0.5, 1.0], 2).reshape(4, 2)
     points = np.zeros((4, 1, 1))
     way = np.tile([0.0, np.sqrt(0.5), np.sqrt(0.5)], (4, 1))

@@ -155,3 +155,29 @@ def test_a_clock_leaves_no_equilibria():
     settings = ["analyses={branches: {equilibria: 4, box: {x1: [-1, 1]}}}"]
     with pytest.raises(ConfigError, match="a flow with a clock has no equilibria"):
         jaxnh.load(ROOT / "configs/branches.yaml", settings).requested()
+
+
+def test_curves_of_equilibria_need_no_section():
+    """The cusp 27 b1² = 4 b2³ of b1 + b2 x − x³, whose every lane comes to rest and returns to no section."""
+
+    def cusp(b1=0.1, b2=0.3):
+        def rhs(y, t):
+            return b1 + b2 * y[0] - y[0] ** 3, -y[1]
+
+        return {"rhs": rhs, "coordinates": ("x", "y")}
+
+    asked = jaxnh.Curves(max_period=0, equilibria=4, box={"x": [-2, 2], "y": [-1, 1]}, n_values=2)
+    session = jaxnh.Session(cusp, start={"x": -0.3})
+    groups = session.groups({"curves": asked}, b1=np.linspace(-2.0, 2.0, 3), b2=np.array([-1.0, 2.0]))
+    assert "section" not in groups["curves"].attrs
+    [fold], [point] = groups["curves"]["curve"].to_numpy(), groups["codimension_two"]["codimension_two"].to_numpy()
+    b1, b2, error = (groups["curves"][name].to_numpy()[fold] for name in ("b1", "b2", "b1_error"))
+    known = np.isfinite(b1)
+    slope = np.sqrt(b2[known] / 3.0)  # of the curve, over which an error of b2 moves b1
+    off = np.abs(np.abs(b1[known]) - 2.0 * (b2[known] / 3.0) ** 1.5)
+    assert np.all(off <= error[known] + slope * groups["curves"]["b2_error"].to_numpy()[fold][known])
+    assert jaxnh.labels(groups["codimension_two"]["kind"]).to_numpy()[point] == "cusp"
+    for name in ("b1", "b2"):
+        value, error = (groups["codimension_two"][each].to_numpy()[point] for each in (name, f"{name}_error"))
+        assert abs(value) <= error < 1e-12
+    np.testing.assert_allclose(groups["codimension_two"]["coefficients"].to_numpy()[point, 0], -1.0, rtol=1e-10)

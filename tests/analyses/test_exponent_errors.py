@@ -154,6 +154,19 @@ def test_no_drift_where_there_is_none():
     np.testing.assert_array_equal(widen_by_drift(plain, smooth_of(noise), blocks).error, plain.error)
 
 
+@pytest.mark.parametrize("every", [2, 3, 4, 6])
+def test_no_drift_of_events_at_equal_times(every):
+    """As of a ball that loses half its speed every few units of time: all blocks are the same, and none scatters."""
+    growth = np.zeros((every, 12 * BLOCKS))
+    for phase in range(every):
+        growth[phase, phase::every] = np.log(0.5)
+    blocks = blocks_of(growth)
+    assert np.ptp(blocks) < 1e-15
+    widened = widen_by_drift(average_blocks(blocks), smooth_of(growth), blocks)
+    np.testing.assert_allclose(widened.mean, np.log(0.5) / every, rtol=1e-14)
+    assert widened.error.max() < 1e-14
+
+
 def test_a_drift_along_a_family_of_orbits():
     """A rise that steps account for is the error of the mean; one beyond them has no end in the run."""
     growth = -1.2 + 1e-5 * np.arange(4096)[None] / 4096

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from decimal import Decimal, getcontext
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 import jaxnh
 from jaxnh.engine.experiment import Experiment
@@ -17,6 +18,10 @@ DIGITS = 40
 DOUBLINGS = (3.0, 1 + np.sqrt(6.0), 3.5440903595519228536)  # OEIS A086181 is the third
 LIMIT, DELTA = 3.5699456718709449018, 4.6692016091029906718  # OEIS A098587 and A006890
 TO_ROUNDING = 1e-14
+
+
+def logistic(r=3.2):
+    return {"map": lambda y: r * y[0] * (1.0 - y[0]), "coordinates": "x"}
 
 
 def groups_of(map_text, config):
@@ -75,6 +80,45 @@ def test_exponents_near_and_at_superstable_orbits():
     exact = np.log(np.abs(2.0 - np.array(values[2:])))
     assert np.all(np.abs(ours[2:] - exact) < error[2:])
     assert error[2:].max() < 1e-10
+
+
+def exact_exponent(r, n):
+    """ln|μ|/n of the cycle of n points of the logistic map that attracts, by Newton in fifty digits."""
+    getcontext().prec = 50
+    r, x = Decimal(r), 0.3
+    for _ in range(100_000):
+        x = float(r) * x * (1.0 - x)
+    x = Decimal(x)
+    for _ in range(40):
+        image, slope = x, Decimal(1)
+        for _ in range(n):
+            image, slope = r * image * (1 - image), slope * r * (1 - 2 * image)
+        x -= (image - x) / (slope - 1)
+    assert abs(image - x) < Decimal("1e-40")
+    return float(abs(slope).ln() / n)
+
+
+@pytest.mark.parametrize(
+    ("n", "values"), [(3, 1 + 8**0.5 + np.array([1e-9, 1e-8, 1e-6])), (2, 3 + np.array([1e-6, 1e-5, 1e-4]))]
+)
+def test_exponents_of_orbits_just_born(n, values):
+    """Beside a fold and a doubling a rounding moves an orbit, and its multiplier, by many of its own: bars have that."""
+    data = jaxnh.Session(logistic, start={"x": 0.3}).run(jaxnh.Lyapunov(periods=4096), r=values)
+    assert kinds_of(data, "exponents_method") == ["orbit"] * 3
+    off = np.abs(data["exponents"].to_numpy()[:, 0] - [exact_exponent(float(r), n) for r in values])
+    error = data["exponents_error"].to_numpy()[:, 0]
+    assert np.all(off <= error)
+    assert error.max() < 1e-9
+
+
+def test_no_orbit_before_its_fold():
+    """Below r = 1 + √8 there is no cycle of three, however near to itself a point comes; at 3 there is none of two."""
+    values = np.append(1 + 8**0.5 - np.array([1e-9, 1e-8, 1.247e-7, 1e-6]), 3.0)
+    session = jaxnh.Session(logistic, start={"x": 0.3})
+    assert not np.any(session.run(jaxnh.Period(), r=values)["period"])
+    data = session.run(jaxnh.Lyapunov(periods=4096), r=values)
+    assert "orbit" not in kinds_of(data, "exponents_method")[:4]
+    assert abs(data["exponents"].to_numpy()[4, 0]) <= data["exponents_error"].to_numpy()[4, 0]
 
 
 LOZI = """
@@ -249,6 +293,51 @@ def test_window_of_period_three():
 
 
 # ---- basins
+
+
+def arnold(omega=0.5, k=0.95):
+    return {
+        "map": lambda y: (y[0] + 2 * jnp.pi * omega - k * jnp.sin(y[0]),),
+        "coordinates": ("angle",),
+        "angles": ("angle",),
+    }
+
+
+def border_of_the_half(k, side):
+    """The border of the tongue of 1/2: the least, or largest, of the values at which an angle has come round in two."""
+
+    def value(x):
+        def missing(w):
+            image = x + 2 * np.pi * w - k * np.sin(x)
+            return image + 2 * np.pi * w - k * np.sin(image) - x - 2 * np.pi
+
+        return brentq(missing, 0.4, 0.6, xtol=1e-15)
+
+    best = min(np.linspace(-np.pi, np.pi, 200), key=lambda x: side * value(x))
+    return value(minimize_scalar(lambda x: side * value(x), bracket=(best - 0.05, best, best + 0.05), tol=1e-9).x)
+
+
+def test_window_of_points_half_a_turn_apart():
+    """Two points of a circle go away from each other beyond half a turn, and not through each other."""
+    session = jaxnh.Session(arnold, start={"angle": 0.3})
+    data = session.run(jaxnh.Windows(max_period=2), omega=np.linspace(0.44, 0.56, 61))
+    [begin], [end] = (data[name].to_numpy()[data["period"] == 2] for name in ("begin", "end"))
+    for ours, side in ((begin, 1), (end, -1)):
+        assert abs(ours - border_of_the_half(0.95, side)) < 1e-12
+
+
+def test_curves_of_the_tongue_of_a_half():
+    """Its two borders, each once, and the doubling of its orbit, which is lowest at K = √2, Omega = 1/2."""
+    session = jaxnh.Session(arnold, start={"angle": 0.3})
+    axes = {"omega": np.linspace(0.4, 0.6, 11), "k": np.array([0.6, 1.5])}
+    data = session.run(jaxnh.Curves(max_period=2, n_values=2), **axes)
+    kind, period = np.array(kinds_of(data)), data["period"].to_numpy()
+    assert np.count_nonzero((kind == "fold") & (period == 2)) == 2
+    [doubling] = np.flatnonzero((kind == "period doubling") & (period == 2))
+    omega, k = (data[name].to_numpy()[doubling] for name in ("omega", "k"))
+    assert np.nanmin(omega) < 0.48
+    assert np.nanmax(omega) > 0.52
+    assert 0.0 <= np.nanmin(k) - 2**0.5 < 1e-3
 
 
 def test_basins_of_two_fixed_points():

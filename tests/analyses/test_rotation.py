@@ -99,11 +99,39 @@ def test_moebius_maps_of_the_circle():
     words = np.array(kinds(data))
     near = np.abs(cosine - 1.0) < 1e-3  # the passage of the ghost of the fold takes as long as half of a run
     assert np.all(words[(cosine > 1) & ~near] == "locked")
-    assert np.all(data["denominator"].to_numpy()[(cosine > 1) & ~near] == 1)
+    denominator = data["denominator"].to_numpy()
+    assert np.all(denominator[(cosine > 1) & ~near] == 1)
+    locked = denominator > 0
+    assert np.all(np.abs(data["numerator"] - denominator * exact)[locked] < 1e-12)  # and no others
     known = np.isfinite(data["rotation"].to_numpy())
     assert known[~near].mean() > 0.95
     within = np.abs(data["rotation"] - exact).to_numpy() <= data["rotation_error"].to_numpy()
     assert within[known].mean() >= 0.95
+
+
+@pytest.mark.parametrize("iterates", [512, 2048, 8192])
+def test_passages_that_take_longer_than_a_run(iterates):
+    """Beside the border of a tongue, where whole passages take 1/rho: locked within it, and not locked without."""
+    beside = np.array([-1e-3, -1e-4, -1e-5, -1e-7, 1e-7, 1e-6, 1e-5])
+    session = jaxnh.Session(moebius, start={"angle": 0.2})
+    data = session.run(jaxnh.Rotation(periods=iterates), alpha=math.pi / 3 + beside)
+    exact = np.arccos(np.minimum(np.cos(math.pi / 6 + beside / 2) / math.sqrt(0.75), 1.0)) / math.pi
+    words = np.array(kinds(data))
+    assert np.all(words[:2] == "locked")
+    assert not np.any(words[4:] == "locked")
+    assert not np.any(words[:4] == "unlocked")
+    known = np.isfinite(data["rotation"].to_numpy())
+    assert np.all(np.abs(data["rotation"] - exact)[known] <= data["rotation_error"][known] * (1 + 1e-9))
+
+
+def test_no_lock_to_a_fraction_near_by():
+    """At K = 0.9, Omega = 0.4 the rotation number is 1.2e-5 from 11/28: a motion of 4,096 iterates goes round once."""
+    data = jaxnh.Session(arnold, start={"angle": 0.3}).run(jaxnh.Rotation(periods=4096), omega=[0.4], k=[0.9])
+    assert kinds(data) == ["undecided"]
+    assert data["denominator"].item() == 0
+    longer = jaxnh.Session(arnold, start={"angle": 0.3}).run(jaxnh.Rotation(periods=1 << 17), omega=[0.4], k=[0.9])
+    assert kinds(longer) == ["unlocked"]
+    assert abs(data["rotation"].item() - longer["rotation"].item()) <= data["rotation_error"].item()
 
 
 def test_arnolds_staircase():

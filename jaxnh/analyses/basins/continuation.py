@@ -26,7 +26,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.crises.band_phase import embed_points
 from jaxnh.analyses.crises.sudden_growth import keep_common_growths, sudden_growths
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
-from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, largest_multiplier, orbits
+from jaxnh.analyses.periodic.newton_on_lanes import converged, largest_multiplier, orbits
 
 BIRTH, DEATH, CRISIS = range(3)
 CHANGES = ("birth", "death", "crisis")
@@ -268,11 +268,12 @@ class _AxisLinks:
         self, batch: LaneBatch, u: Float[np.ndarray, "some d"], subset: Int[np.ndarray, " some"]
     ) -> _OrbitsBeyond:
         period = self._every.period[subset]
-        orbit = orbits(self._lanes, batch.strobe(), u, dict(batch.p), period, self._every.size[subset])
+        orbit = orbits(self._lanes, batch.strobe(), u, dict(batch.p), period, size := self._every.size[subset])
+        exists = converged(self._lanes, batch.strobe(), orbit, dict(batch.p), period, size)
         multiplier = largest_multiplier(orbit.monodromy)
         with np.errstate(divide="ignore", invalid="ignore"):
             exponent = np.log(multiplier) / (period * batch.flow.period)
-        return _OrbitsBeyond(orbit.residual < CONVERGED, multiplier < 1.0, orbit.u, multiplier, exponent)
+        return _OrbitsBeyond(exists, multiplier < 1.0, orbit.u, multiplier, exponent)
 
     def _solve_equilibria(
         self, batch: LaneBatch, u: Float[np.ndarray, "some d"], some: Int[np.ndarray, " some"]

@@ -46,7 +46,14 @@ from jaxnh.analyses.random_starts import check_box
 from jaxnh.maps.section import Section
 from jaxnh.orbits.bifurcations.codimension_two import special_points
 from jaxnh.orbits.bifurcations.curve_errors import errors_of_points, errors_of_special, refine_curve
-from jaxnh.orbits.continuation.curves import Curve, ParameterPlane, follow_both_ways, join_curves, join_unknowns
+from jaxnh.orbits.continuation.curves import (
+    BifurcationEquations,
+    Curve,
+    ParameterPlane,
+    follow_both_ways,
+    join_curves,
+    join_unknowns,
+)
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.continuation.paths import STEPS
 from jaxnh.orbits.continuation.tracks import nearest
@@ -288,11 +295,10 @@ def _passes(plane: ParameterPlane, curve: Curve, seed: CurveSeed) -> bool:
     """Return whether a curve goes through a bifurcation, whichever of the orbit's points comes first."""
     if curve.kind != seed.kind or curve.period != len(seed.points):
         return False
-    turned = (np.roll(seed.points, m, 0)[None] for m in range(curve.period))
-    return any(
-        nearest(curve.track.z, curve.track.way, join_unknowns(plane, points, seed.values[None])[0]).distance <= _NEAR
-        for points in turned
-    )
+    track, equations = curve.track, BifurcationEquations(plane, curve.kind, curve.track.z.shape[1])
+    [z] = join_unknowns(plane, seed.points[None], seed.values[None])
+    turned = equations.equivalents(z[None])
+    return any(nearest(track.z, track.way, at, difference=equations.difference).distance <= _NEAR for [at] in turned)
 
 
 ANALYSIS = Analysis(

@@ -91,7 +91,8 @@ def _passes(problem: ArcProblem, curve: _GrazingCurve, orbit: GrazingOrbit, seco
         if turned.sequence.same_as(curve.sequence):
             equations, values = GrazingEquations(problem, turned.sequence), np.append(turned.values, second)
             z = equations.unknowns(turned.start, turned.length, values)
-            if nearest(curve.track.points.z, curve.track.points.way, z).distance <= _NEAR:
+            track = curve.track.points
+            if nearest(track.z, track.way, z, difference=equations.difference).distance <= _NEAR:
                 return True
     return False
 

@@ -153,7 +153,8 @@ def widen_by_drift(
         size = np.maximum(np.abs(average.mean), 1.0)
         moved = 2.0 * np.abs(slope) / leading[1]
         left = np.where(moved > steps * size, left, moved)
-        drifts = np.abs(slope) > np.maximum(least * noise, _STEADY * size)
+        alike = np.sqrt(np.mean(parts[:, 5:] ** 2, axis=1))  # as of events at equal times, whose blocks do not scatter
+        drifts = (np.abs(slope) > np.maximum(least * noise, _STEADY * size)) & (np.abs(slope) > alike)
     return average._replace(error=np.where(drifts, np.maximum(average.error, left), average.error))
 
 

@@ -18,13 +18,15 @@ from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, surve
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images, orbits
 from jaxnh.analyses.section_points import states_at
 from jaxnh.orbits.multipliers import eigenvalues
+from jaxnh.orbits.newton import Images, solve
 from jaxnh.systems.state import LaneStates
 
 _LONGEST = 64  # period of an orbit that is looked for
 _SEEN = 1e-6  # a multiplier below this share of the monodromy matrix is left to tangents
 _TURNS = 6  # around the orbit, that tangents are carried at most
 _SETTLED = 1e-12  # a turn
-_ULPS = 4  # that a point of an orbit of a map may be off, in sizes of the motion
+_ULPS = 4  # that an iterate of a map may be off, in sizes of the motion
+_NEIGHBOURS = np.array([-2.0, -1.0, 1.0, 2.0])  # of a point, in these
 _ROUNDING = 1e-12  # of a multiplier's logarithm, times the matrix over the multiplier
 
 
@@ -127,13 +129,13 @@ def orbit_exponents(
     settled, survey = settled[order], select(survey, order)
     batch, growth, n = batch.take(settled), select(growth, settled), survey.period
     p = dict(batch.p)
+    finer = orbits(lanes, batch.strobe(2 if batch.flow.continuous else 1), survey.u, p, n, survey.size)
     if batch.flow.continuous:
-        finer = orbits(lanes, batch.strobe(2), survey.u, p, n, survey.size)
-        u, monodromy = finer.u, finer.monodromy
+        first, u, monodromy = (survey.u, survey.monodromy), finer.u, finer.monodromy
     else:  # there are no steps, but a point is right to a few roundings only
-        u = survey.u + _ULPS * np.finfo(float).eps * survey.size
-        monodromy = np.asarray(images(lanes, batch.strobe(), p, n.astype(np.int32))(u, np.arange(len(n))).monodromy)
-    logs, rounding = _logs(batch, lanes, growth, n, survey.u, survey.monodromy, parts, 1)
+        first = finer.u, finer.monodromy
+        u, monodromy = _rounded_points(images(lanes, batch.strobe(), p, n.astype(np.int32)), finer.u, survey.size)
+    logs, rounding = _logs(batch, lanes, growth, n, *first, parts, 1)
     fine, _ = _logs(batch, lanes, growth, n, u, monodromy, parts, 2)
     moved = change(logs, fine)
     error = np.where(np.isneginf(logs) & np.isneginf(fine), 0.0, 2.0 * moved + rounding)
@@ -143,6 +145,26 @@ def orbit_exponents(
         logs, error = np.where(superstable, -np.inf, logs), np.where(superstable, 0.0, error)
     kept = np.all(np.isfinite(error), axis=1)
     return OrbitExponents(settled[kept], logs[kept], error[kept])
+
+
+def _rounded_points(
+    at: Images, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d d"]]:
+    """Return points as far from orbits of a map as rounding may leave Newton, and ∂Pⁿ/∂u there.
+
+    A rounding ε of Pⁿ moves its zero by ε/(1 − μ): far, where a multiplier is nearly one. Roundings within a long orbit
+    may grow before it closes: how much is seen of points a few roundings apart, whose images are not quite a line.
+    """
+    d, every, ulps = u.shape[1], np.arange(len(u)), _ULPS * np.finfo(float).eps * size
+    here = at(u, every)
+    monodromy, image = np.asarray(here.monodromy), np.asarray(here.image)
+    moved = (u + _NEIGHBOURS[:, None, None] * ulps) - u
+    images_beside = np.asarray(at((u + moved).reshape(-1, d), np.tile(every, len(_NEIGHBOURS))).image)
+    scatter = images_beside.reshape(moved.shape) - image - np.einsum("lij,klj->kli", monodromy, moved)
+    rounding = np.maximum(ulps, np.max(np.abs(scatter), axis=0))
+    shift = solve(monodromy - np.eye(d), rounding)
+    u = u + np.where(np.abs(shift) > ulps, shift, ulps)
+    return u, np.asarray(at(u, every).monodromy)
 
 
 def _logs(

@@ -161,6 +161,8 @@ def _sum_and_dimension(
     # Without a clock the exponent along the flow counts as well.
     of_strobes = "of the Poincaré section" if batch.flow.continuous else "of the map"
     source = "of the flow" if batch.flow.autonomous else of_strobes
+    with np.errstate(invalid="ignore"):  # of orbits that are superstable both are −∞
+        missed = np.abs(exponents.sum(axis=1) - total.mean / period) + total.error / period
     return {
         "exponent_sum": variable(LANE, total.mean / period, words, **rate),
         "exponent_sum_error": variable(LANE, total.error / period, "error of the sum at 95 %", **rate),
@@ -171,7 +173,9 @@ def _sum_and_dimension(
             ancillary_variables="kaplan_yorke_error",
         ),
         "kaplan_yorke_error": variable(
-            LANE, kaplan_yorke_error(exponents, errors), "error of the dimension by those of the exponents at 95 %"
+            LANE,
+            kaplan_yorke_error(exponents, errors, missed),
+            "error of the dimension by those of the exponents and of their sum at 95 %",
         ),
     }
 

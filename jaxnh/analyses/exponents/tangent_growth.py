@@ -225,8 +225,9 @@ def advance(
     p: Parameters,
 ) -> TangentState:
     """Advance one lane by `count` periods, its sums begun anew, without smooth ones where no share is `first`."""
-    zeros = jax.tree.map(jnp.zeros_like, growth[2:-1])
-    growth = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]), growth.loss)
+    zeros = jax.tree.map(jnp.zeros_like, growth[2:])
+    anew = TangentState(growth.state, growth.tangents, *as_batched(zeros, growth.state[0][0]))
+    growth = anew._replace(loss=growth.loss)
     # Where the divergence is a derivative more, it serves the sum rule, and says where the map loses rank.
     system = strobes.system
     wanted = system.readout.contraction or len(growth.logs) == system.exponents or _loses_rank(system)

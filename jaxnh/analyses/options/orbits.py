@@ -146,6 +146,11 @@ class CurvesOptions(Continuation):
     )
 
     @property
+    def in_time(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Tell whether no orbits are followed, which need a section."""
+        return not self.max_period
+
+    @property
     def conditional(self) -> bool:
         """Tell whether cycles that keep a condition are followed."""
         asked = any((self.duration, self.maximum, self.minimum, self.amplitude, self.mean, self.grazing))

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
+    converged,
     images,
     largest_multiplier,
     least_period,
@@ -227,7 +228,9 @@ def _survey_at(
             orbit = orbits(lanes, strobe, point[lane], select(p, lane), n, size[lane])
         near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * CLOSE
         largest = largest_multiplier(orbit.monodromy)
-        settled = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
+        candidate = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
+        which = select(orbit, candidate), select(p, lane[candidate]), n[candidate], size[lane[candidate]]
+        settled = candidate[converged(lanes, strobe, *which)]
         lanes_settled, least_of = np.unique(lane[settled], return_index=True)
         if not len(lanes_settled):
             continue

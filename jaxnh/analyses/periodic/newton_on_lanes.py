@@ -10,19 +10,22 @@ import math
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneRunner, select
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits.multipliers import eigenvalues
-from jaxnh.orbits.newton import Images, Orbit, find_orbits
+from jaxnh.orbits.newton import Images, Orbit, find_orbits, solve
 from jaxnh.orbits.newton_program import MOST_COORDINATES, find_least_period, find_orbit
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
 
 CONVERGED = 1e-7
 """Largest residual of an orbit on which Newton has converged, in sizes of the motion."""
+
+_NEARLY_NEUTRAL = 0.1  # |μ − 1| of a multiplier below which a small residual alone tells no orbit
+_ISOLATED = 0.25  # share of M − 1 that Newton's next step may change where there is an orbit
 
 ORBIT_TILE = 64
 """Lanes a tile of programs that follow orbits."""
@@ -58,6 +61,46 @@ def orbits(
     groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
     orbits_by_group = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
     return select(orbits_by_group, np.argsort(np.concatenate([lane for lane, _ in groups])))
+
+
+def converged(
+    lanes: LaneRunner,
+    strobe: Maps,
+    orbit: Orbit,
+    p: Parameters,
+    n: Int[np.ndarray, " lanes"],
+    size: Float[np.ndarray, "lanes d"],
+) -> Bool[np.ndarray, " lanes"]:
+    """Return whether Newton has converged, on an orbit that there is.
+
+    Just before a fold in which orbits are born Pⁿ(u) − u is a x² + c along the direction that is nearly neutral, and
+    its residual may be small without a zero. Newton's next step from such a place, −(x² + c/a)/(2x), changes the
+    derivative M − 1 by the share (x² + c/a)/(2x²), more than half of itself; near a zero this share is small
+    (Kantorovich's theorem, in the form that no scaling changes). It is half or more at multiple roots too, which are
+    bifurcations to rounding.
+    """
+    exists = orbit.residual < CONVERGED
+    with np.errstate(invalid="ignore"):
+        neutral = np.min(np.abs(eigenvalues(orbit.monodromy) - 1.0), axis=1) < _NEARLY_NEUTRAL
+    doubtful = np.flatnonzero(exists & neutral)
+    if len(doubtful):
+        n = np.broadcast_to(np.asarray(n, np.int32), len(exists))
+        at = images(lanes, strobe, select(p, doubtful), n[doubtful])
+        exists[doubtful] = _contracts(at, orbit.u[doubtful], size[doubtful], strobe.chart)
+    return exists
+
+
+def _contracts(
+    at: Images, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"], chart: Chart
+) -> Bool[np.ndarray, " lanes"]:
+    """Return whether Newton's step from each point hardly changes M − 1 along itself."""
+    every, identity = np.arange(len(u)), np.eye(u.shape[1])
+    here = at(u, every)
+    image, monodromy = np.asarray(here.image), np.asarray(here.monodromy)
+    step = solve(monodromy - identity, chart.wrap(u - image))
+    change = np.asarray(at(u + step, every).monodromy) - monodromy
+    next_step = solve(monodromy - identity, (change @ step[..., None])[..., 0])
+    return np.linalg.norm(next_step / size, axis=1) <= _ISOLATED * np.linalg.norm(step / size, axis=1)
 
 
 def _in_programs(lanes: LaneRunner, strobe: Maps) -> bool:

@@ -11,8 +11,9 @@ The rule, of N advances whose average is ρ with the bar ε, and of which the av
   chaotic motion as N^(-1/2) (Sander and Meiss, Physica D 411 (2020) 132569), which comes so near by chance once in N
   lanes. So does a torus that breaks down.
 - no_rotation: the points are a single one, come to the centre, or do not keep their cyclic order about it.
-- locked: ρ is a fraction within ε, with a denominator up to Q. Unlocked: no such fraction.
-- undecided: ε > 1/(2 Q²), so that more than one fraction may be within it.
+- locked: ρ is a fraction p/q within ε, with q up to Q, and the motion shows an orbit of it. Unlocked: no such fraction.
+- undecided: ε > 1/(2 Q²), so that more than one fraction may be within it; or the motion shows no orbit of the one that
+  is. It may be passing the place of one that is born near by: over a passage ρ is off the fraction by up to 1/(q N).
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.chaos import RotationOptions
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.rotation.averages import BirkhoffAverage, birkhoff_average, cyclic_advances, least_fraction
+from jaxnh.analyses.rotation.locking import is_locked, passed_fraction
 from jaxnh.analyses.section_points import states_after
 from jaxnh.analyses.trajectories.poincare import recording_program
 from jaxnh.analyses.trajectories.states import section_attrs
@@ -155,22 +157,35 @@ def _about_centre(options: RotationOptions, batch: LaneBatch, states: State) -> 
 # ---- results
 
 
-def judge(
-    options: RotationOptions, advances: Advances, average: BirkhoffAverage
-) -> tuple[Int[np.ndarray, " lanes"], ...]:
-    """Apply the rule of this module: numbers in `KINDS`, numerators and denominators."""
-    error = average.error + advances.error
-    numerator, denominator = least_fraction(average.value, error, options.max_denominator)
-    conditions = [
-        ~advances.rotates,
-        ~(average.difference <= advances.turns.shape[1] ** -1.5),
-        error > 0.5 / options.max_denominator**2,
-        denominator > 0,
-    ]
+class Judgement(NamedTuple):
+    """What the rule of this module says of lanes, (lanes,) each.
+
+    Attributes:
+        kind: number in `KINDS`.
+        numerator, denominator: of the fraction that a motion is locked to, 0 without one.
+        error: of the rotation number.
+    """
+
+    kind: Int[np.ndarray, " lanes"]
+    numerator: Int[np.ndarray, " lanes"]
+    denominator: Int[np.ndarray, " lanes"]
+    error: Float[np.ndarray, " lanes"]
+
+
+def judge(options: RotationOptions, advances: Advances, average: BirkhoffAverage) -> Judgement:
+    """Apply the rule of this module."""
+    error, count, largest = average.error + advances.error, advances.turns.shape[1], options.max_denominator
+    converged, resolved = average.difference <= count**-1.5, error <= 0.5 / largest**2
+    value = np.where(advances.rotates & converged & resolved, average.value, np.nan)
+    numerator, denominator = least_fraction(value, error, largest)
+    locked = is_locked(advances.turns, numerator, denominator, advances.error)
+    passed = passed_fraction(advances.turns, np.where(locked, np.nan, value), advances.error, largest)
+    unseen = np.where(locked, 0, np.where(passed > 0, passed, denominator))
+    conditions = [~advances.rotates, ~converged, ~resolved | (unseen > 0), locked]
     words = ("no_rotation", "unconverged", "undecided", "locked")
     kind = np.select(conditions, [KINDS.index(word) for word in words], KINDS.index("unlocked"))
-    locked = kind == KINDS.index("locked")
-    return kind, np.where(locked, numerator, 0), np.where(locked, denominator, 0)
+    error = np.where(unseen > 0, np.maximum(error, 1.0 / (np.maximum(unseen, 1) * count)), error)
+    return Judgement(kind, np.where(locked, numerator, 0), np.where(locked, denominator, 0), error)
 
 
 def _dataset(
@@ -180,12 +195,12 @@ def _dataset(
     average: BirkhoffAverage,
     alive: Bool[np.ndarray, " lanes"],
 ) -> xr.Dataset:
-    kind, numerator, denominator = judge(options, advances, average)
+    kind, numerator, denominator, error = judge(options, advances, average)
     kind = np.where(alive, kind, KINDS.index("failed"))
     known = np.isin(kind, [KINDS.index(word) for word in ("locked", "unlocked", "undecided")])
     numerator, denominator = (np.where(alive, number, 0) for number in (numerator, denominator))
     value = np.where(known, average.value, np.nan)
-    error = np.where(known, average.error + advances.error, np.nan)
+    error = np.where(known, error, np.nan)
     difference = np.where(alive & advances.rotates, average.difference, np.nan)
     counted = {"counted_in": f"turns per {_ONE[iterate_units(batch.system)]}"}
     searched = f"denominators 1 to {options.max_denominator} were searched"

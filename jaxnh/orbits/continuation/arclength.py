@@ -248,14 +248,19 @@ def collapses(
     wrap: Wrap,
     size: Float[np.ndarray, " d"],
 ) -> tuple[Bool[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
-    """Tell whether orbits come to those of a shorter period from one place to the next, or are there."""
+    """Tell whether orbits come to those of a shorter period from one place to the next, or are there.
+
+    Gaps between points change by what the points do: of angles one that grows beyond half a turn is not turned round.
+    """
     n = before.shape[1]
     collapsed, merged = np.zeros((2, len(before)), bool)
-    for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):
-        gaps = [wrap(points - np.roll(points, -m, 1)) / size for points in (before, after)]
-        with np.errstate(invalid="ignore"):
-            merged |= np.sqrt(np.mean(np.sum(gaps[1] ** 2, axis=2), axis=1)) < _SAME
-            collapsed |= merged | (np.sum(np.sum(gaps[0] * gaps[1], axis=2), axis=1) <= 0.0)
+    with np.errstate(invalid="ignore"):
+        moved = wrap(after - before)
+        for m in (n // q for q in range(2, n + 1) if n % q == 0 and all(q % r for r in range(2, q))):
+            gap, change = wrap(before - np.roll(before, -m, 1)) / size, (moved - np.roll(moved, -m, 1)) / size
+            shortest = wrap(after - np.roll(after, -m, 1)) / size
+            merged |= np.sqrt(np.mean(np.sum(shortest**2, axis=2), axis=1)) < _SAME
+            collapsed |= merged | (np.sum(np.sum(gap * (gap + change), axis=2), axis=1) <= 0.0)
     return collapsed, merged
 
 

@@ -289,4 +289,4 @@ def passes(plane: FieldPlane, curves: Sequence[Curve], kind: int, at: CriticalEq
     keep = np.r_[np.arange(d), np.arange(-3 if kind == HOPF else -2, 0)]
     [z] = equations.join(at)
     tracks = [curve.track for curve in curves if curve.kind == kind]
-    return any(nearest(track.z, track.way, z, keep).distance <= near for track in tracks)
+    return any(nearest(track.z, track.way, z, keep, equations.difference).distance <= near for track in tracks)

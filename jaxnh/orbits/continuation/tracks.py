@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,8 @@ from jaxtyping import Float, Int
 
 from jaxnh.orbits.continuation.core import CurveEquations, Solution, correct, inner
 from jaxnh.orbits.continuation.paths import CLOSED, MOST_POINTS, Track, concatenated
+
+Difference = Callable[[Float[np.ndarray, "k N"]], Float[np.ndarray, "k N"]]
 
 
 class Foot(NamedTuple):
@@ -43,6 +46,7 @@ def nearest(
     way: Float[np.ndarray, "k N"],
     at: Float[np.ndarray, " N"],
     counted: slice | Int[np.ndarray, " some"] = slice(None),
+    difference: Difference = lambda gap: gap,
 ) -> Foot:
     """The place of a curve of points and directions that is nearest to unknowns.
 
@@ -50,14 +54,16 @@ def nearest(
         z, way: of the curve; two equal points are one.
         at: the unknowns.
         counted: those of them that count, by default all.
+        difference: of gaps between unknowns, wraps angles.
     """
     if len(z) < 2:
-        return Foot(float(np.linalg.norm((z - at)[:, counted], axis=1).min(initial=np.inf)), 0, 0.0)
-    chord, gap = np.diff(z[:, counted], axis=0), (at - z[:-1])[:, counted]
+        return Foot(float(np.linalg.norm(difference(at - z)[:, counted], axis=1).min(initial=np.inf)), 0, 0.0)
+    apart = difference(at - z[:-1])
+    chord, gap = np.diff(z[:, counted], axis=0), apart[:, counted]
     share = np.sum(gap * chord, axis=1) / np.maximum(np.sum(chord**2, axis=1), np.finfo(float).tiny)
     share = np.clip(share, 0.0, 1.0)
     there = hermite(np.stack([z[:-1], z[1:]]), np.stack([way[:-1], way[1:]]), share)
-    distance = np.linalg.norm((there - at)[:, counted], axis=1)
+    distance = np.linalg.norm((there - z[:-1] - apart)[:, counted], axis=1)
     place = int(np.argmin(distance))
     return Foot(float(distance[place]), place, float(share[place]))
 
@@ -84,9 +90,11 @@ def _continued(equations: CurveEquations, first: Track, second: Track, near: flo
     end, toward, unit = first.points.z[-1], first.points.way[-1], equations.unit
     alike = zip(equations.equivalents(second.points.z), equations.equivalents(second.points.way), strict=True)
     for z, way in alike:
-        foot = nearest(z, way, end)
+        foot = nearest(z, way, end, difference=equations.difference)
         if foot.distance > near or len(z) < 2:
             continue
+        gap = end - z[[foot.place]]
+        z = z + (gap - equations.difference(gap))  # by whole turns of angles
         sign = 1.0 if (z[foot.place + 1] - z[foot.place]) @ toward > 0.0 else -1.0
         rest = np.arange(foot.place + 1, len(z)) if sign > 0.0 else np.arange(foot.place, -1, -1)
         beyond = inner(unit, z[rest] - end, np.tile(toward, (len(rest), 1))) > 0.0
@@ -104,7 +112,7 @@ def _closed(equations: CurveEquations, track: Track, more: Solution, near: float
         return None
     last = concatenated([track.points.take(slice(-1, None)), more])
     for first in equations.equivalents(track.points.z[:1]):
-        foot = nearest(last.z, last.way, first[0])
+        foot = nearest(last.z, last.way, first[0], difference=equations.difference)
         if foot.distance <= near:
             return Track(concatenated([track.points, more.take(slice(foot.place + 1))]), (CLOSED, CLOSED))
     return None
