@@ -89,11 +89,17 @@ def field_jacobian(system: Flow) -> FieldJacobian:
 
 def has_cheap_jacobian(system: Flow, tangents: int) -> bool:
     """Return whether so many tangents take clearly fewer equations by the matrix of a rate than each by itself."""
-    arrays = any(np.shape(leaf) for leaf in jax.tree.leaves(lane_of(system)[0]))
-    if tangents < 2 or arrays or time_split(system).size > _LARGEST_FIELD:
+    if tangents < 2 or not _may_have_jacobian(system):
         return False
     matrix, each = field_jacobian(system), time_split(system).size + tangents * _slope_size(system)
     return matrix.size + tangents * matrix.products < _WORTHWHILE * each
+
+
+@cached_by_structure
+def _may_have_jacobian(system: Flow) -> bool:
+    """Return whether a flow's state has numbers alone, and its rate is not too large."""
+    arrays = any(np.shape(leaf) for leaf in jax.tree.leaves(lane_of(system)[0]))
+    return not arrays and time_split(system).size <= _LARGEST_FIELD
 
 
 def equations_with_tangents(system: Flow, tangents: int) -> int:
