@@ -85,13 +85,13 @@ class GeneralStrobe(ReturnMap):
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps and, where there is one, of the loop over stages."""
         steps = () if self.steps is None else (float(np.mean(self.steps)),)
-        rolls = (self if self.steps is None else first_of_stack(self, np.ndim(self.steps)))._rolls(0)
+        rolls = first_of_stack(self, np.ndim(self.grid) - 1)._rolls(0)
         return (*steps, float(self.solver.stages)) if rolls else steps
 
     def _rolls(self, tangents: int) -> bool:
         if not isinstance(self.solver, WrittenOutRungeKutta):
             return False
-        return self.carried or stages_in_loop(self.solver, equations_with_tangents(self.system, tangents))
+        return self.carried or stages_in_loop(self.solver, lambda: equations_with_tangents(self.system, tangents))
 
     def as_loop(self) -> GeneralStrobe:
         return replace(self, carried=True) if isinstance(self.solver, WrittenOutRungeKutta) else self
@@ -313,9 +313,9 @@ def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
     return {name: p[name] if name in p else system.parameters[name] for name in system.roles.of_lanes}
 
 
-def stages_in_loop(solver: WrittenOutRungeKutta, equations: int) -> bool:
+def stages_in_loop(solver: WrittenOutRungeKutta, equations: Callable[[], int]) -> bool:
     """Return whether the stages of a step, each of so many equations, are a loop: written out they are too many."""
-    return equations * solver.stages > _LARGEST_STEP if solver.rolled is None else solver.rolled
+    return equations() * solver.stages > _LARGEST_STEP if solver.rolled is None else solver.rolled
 
 
 def general_strobe(system: Flow, solver: Any, grid: np.ndarray) -> GeneralStrobe:

@@ -79,7 +79,7 @@ class JumpingStrobe(ReturnMap):
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps, those to walls left out, and of the loop over stages, where it is one."""
         system = first_of_stack(self.system, np.ndim(self.steps))
-        inner = (float(self.solver.stages),) if stages_in_loop(self.solver, time_split(system).size) else ()
+        inner = (float(self.solver.stages),) if stages_in_loop(self.solver, lambda: time_split(system).size) else ()
         return float(np.mean(self.steps)), *inner
 
     def __call__(self, state: PiecewisePoint, p: Parameters) -> PiecewisePoint:
@@ -287,7 +287,7 @@ class _Lane:
         def rates(stage: Any, y: Moving) -> Moving:
             return derivatives(system, t + c[stage] * h, y, sides, lane.own, lane.by_p)
 
-        in_loop = stages_in_loop(solver, time_split(system).size * (1 + count + lane.volume))
+        in_loop = stages_in_loop(solver, lambda: time_split(system).size * (1 + count + lane.volume))
         return (solver.rolled_stages if in_loop else solver.written_stages)(rates, h, moving)
 
     def _sides_of_heights(self, sides: Heights) -> Heights:

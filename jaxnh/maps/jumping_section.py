@@ -140,7 +140,11 @@ class JumpingSection(ReturnMap):
     @property
     def trip_counts(self) -> tuple[float, ...]:
         """Trip counts of the loop over steps in a period of time, and of the loop over stages, where it is one."""
-        inner = (float(self.solver.stages),) if stages_in_loop(self.solver, time_split(self.system.flow).size) else ()
+        inner = (
+            (float(self.solver.stages),)
+            if stages_in_loop(self.solver, lambda: time_split(self.system.flow).size)
+            else ()
+        )
         return self.system.flow.period / float(np.mean(self.step)), *inner
 
     def __call__(self, state: Crossing, p: Parameters) -> Crossing:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import pytest
 
 from jaxnh.maps.build import cut_strobe, make_return_map
-from jaxnh.solvers import SOLVERS, SPLITTINGS
+from jaxnh.mechanics import ellipsoid, rolling_body
+from jaxnh.solvers import SOLVERS, SPLITTINGS, tsit5
+from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, one_lane
 from tests.flows.particle import twin
@@ -37,3 +41,15 @@ def test_map_cut_into_parts(name):
     state, p = one_lane()
     end, _ = jax.lax.scan(lambda state, part: (part(state, p), None), state, parts)
     assert largest_difference(CHART.point(end), CHART.point(make_return_map(system, solver, 98)(state, p))) < ROUNDOFF
+
+
+@pytest.mark.parametrize("solver", [tsit5, in_loop(tsit5)], ids=["written out", "loop"])
+def test_loops_of_stacked_maps_of_quasi_velocities(solver):
+    """They are those of one of the maps, whose parameters have the parts as an axis in the stack."""
+
+    def ball(radius=1.0, tilt=0.5):
+        surface = ellipsoid((radius, radius, radius), center=(0.0, 0.3 * jnp.sin(tilt), 0.3 * jnp.cos(tilt)))
+        return rolling_body(surface, 1.0, ((0.22, 0.0, 0.0), (0.0, 0.67, 0.0), (0.0, 0.0, 0.78)), 1.0)
+
+    stack = cut_strobe(lagrangian(ball, {"radius": 1.0, "tilt": 0.5}, ("tilt",)), solver, 40, 4)
+    assert stack.trip_counts == ((10.0, float(solver.stages)) if solver.rolled else (10.0,))
