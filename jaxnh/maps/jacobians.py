@@ -20,9 +20,7 @@ from jaxnh.systems.simplification import SimplifiedProgram
 from jaxnh.systems.state import State
 from jaxnh.systems.tracing import KnownValue, cached_by_structure
 
-_WORTHWHILE = (
-    5 / 6
-)  # of the equations: with little fewer, entries that are kept for all tangents cost more than they save
+_WORTHWHILE = 5 / 6  # of the equations: with little fewer, entries kept for all tangents cost more than they save
 _LARGEST_FIELD = 150  # equations: of larger ones the matrix takes half a second and more to trace
 
 
@@ -60,7 +58,7 @@ class FieldJacobian:
             {j: entries[j * self._count + i] for j in range(self._count) if not _is_zero(entries[j * self._count + i])}
             for i in range(self._count)
         ]
-        self.size = sum(not self._needed.isdisjoint(step.makes) for step in program.steps)
+        self.size = program.count(program.outputs)
         given = [entry for row in self._entries for entry in row.values()]
         self.products = len(given) + sum(not (isinstance(e, KnownValue) and abs(_number(e)) == 1.0) for e in given)
         self.products -= sum(bool(row) for row in self._entries)
@@ -119,8 +117,7 @@ def _slope_size(system: Flow) -> int:
         return jax.jvp(lambda z: split.rest(values, system, (z, own), instead={}), (z,), (dz,))
 
     program = SimplifiedProgram(moved, [0.0] * split.width, system, state, own, state)
-    needed = program.needed(program.outputs)
-    return sum(not needed.isdisjoint(step.makes) for step in program.steps) - split.size
+    return program.count(program.outputs) - split.size
 
 
 def tangent_rate(rows: Sequence[Mapping[int, Any]], tangent: Any) -> Any:

@@ -109,6 +109,11 @@ class Program:
                 reached |= {slot for slot in step.reads if not isinstance(slot, KnownValue)}
         return reached
 
+    def count(self, slots: Sequence[Slot | KnownValue]) -> int:
+        """Return how many equations make all that these slots are made of."""
+        needed = self.needed(slots)
+        return sum(not needed.isdisjoint(step.makes) for step in self.steps)
+
     def run(
         self,
         slot_values: dict[Slot, Any],
