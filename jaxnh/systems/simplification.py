@@ -24,6 +24,7 @@ from jax.extend.core import primitives
 from jaxnh.systems.tracing import KnownValue, Program, Slot
 
 Value = Slot | KnownValue
+"""What an equation reads."""
 
 
 class Operation(NamedTuple):
@@ -130,11 +131,11 @@ def _times(x: float, y: float) -> float | None:
 
 def _place(value: Value) -> tuple[int, float]:
     """Numbers come first."""
-    return (0, float(value.value)) if isinstance(value, KnownValue) else (1, value)
+    return (0, _float(value)) if isinstance(value, KnownValue) else (1, value)
 
 
 def _is(value: Value, number: float) -> bool:
-    return isinstance(value, KnownValue) and float(value.value) == number
+    return isinstance(value, KnownValue) and _float(value) == number
 
 
 def _sum(program: SimplifiedProgram, x: Value, y: Value) -> Value:
