@@ -78,6 +78,23 @@ def test_a_discrete_lorenz_attractor():
     assert np.abs(np.sort(data["multipliers"].to_numpy()[0, at, :, 0]) - np.sort(exact.real)).max() < 1e-9
 
 
+def test_a_saddle_inside_that_motions_come_near_to_only_after_very_long():
+    """Beside the logistic map at 4, y ↦ c y + (1 − c) x: with its fixed point 3/4 the attractor holds (3/4, 3/4), as with
+    every orbit of it. The multipliers are −2 and c, and y is far from 3/4 unless x has been there for long.
+    """
+
+    def slow(c=0.9):
+        return {"map": lambda s: (4.0 * s[0] * (1.0 - s[0]), c * s[1] + (1.0 - c) * s[0]), "coordinates": ("x", "y")}
+
+    session = jaxnh.Session(slow, start={"x": 0.3, "y": 0.5})
+    data = session.run(jaxnh.Orbits(max_period=1, attractor=2048), c=np.array([0.3, 0.9, 0.97, 0.99]))
+    at = np.abs(data["x"].to_numpy() - 0.75).argmin(axis=1)
+    assert np.abs(data["y"].to_numpy()[np.arange(4), at] - 0.75).max() < 1e-9
+    words = jaxnh.labels(data["place"]).to_numpy()[np.arange(4), at].tolist()
+    assert words[0] == "inside"
+    assert "outside" not in words
+
+
 @pytest.mark.slow  # other roads are quick
 def test_multipliers_that_are_zero_are_counted_out():
     """A coordinate that each iterate puts to zero adds one, as a constraint or a level does.

@@ -2,10 +2,11 @@
 
 Distances are in sizes of the motion, angles on their circle. An orbit lies in the attractor where each of its points is
 as near to the motion as its own points are to one another: nearer than 99 in 100 of them to the next one. It lies
-outside where it is more than four times further than any. In between the unstable leaves of the motion, which belong to
-the attractor, decide where they come as near to it (`unstable_leaves`); else neither is said, as the motion may come so
-near only after longer. A saddle whose nearest points of the motion all lie on one side of its stable manifold may be
-one that the attractor only comes near to, as before a crisis: it is inside where leaves come much nearer than points.
+outside where it is more than four times further than any, and than so many points come near to a saddle inside by its
+multipliers. In between the unstable leaves of the motion, which belong to the attractor, decide where they come as near
+to it (`unstable_leaves`); else neither is said, as the motion may come so near only after longer. A saddle whose
+nearest points of the motion all lie on one side of its stable manifold may be one that the attractor only comes near
+to, as before a crisis: it is inside where leaves come much nearer than points.
 """
 
 from __future__ import annotations
@@ -77,10 +78,11 @@ def places_of_orbits(
             if number in trees and np.isfinite(measured.points[i]).all():
                 points = _on_circles(measured.points[i], part.search.size[number], angles)
                 distance[i] = np.max(trees[number].query(points)[0])
+        nearest = np.maximum(largest[lane], _nearest_passage(measured.multipliers, motion.shape[1]))
         conditions = [
             ~np.isfinite(distance),
             distance <= np.maximum(typical[lane], _CLOSE),
-            distance > np.maximum(_FAR * largest[lane], _CLOSE),
+            distance > np.maximum(_FAR * nearest, _CLOSE),
         ]
         near = distance <= np.maximum(largest[lane], _CLOSE)
         of_points = Places(distance, np.select(conditions, [0, 1, 2], 3), near)
@@ -123,6 +125,19 @@ def _by_leaves(
     place[open_] = np.where(of_leaves <= wanted, PLACES.index("inside"), PLACES.index("undecided"))
     near[open_[of_leaves <= wanted]] = True
     return Places(distance, place, near)
+
+
+def _nearest_passage(multipliers: Complex[np.ndarray, "cycles d"], count: int) -> Float[np.ndarray, " cycles"]:
+    """Return how near to a saddle with one unstable multiplier the nearest of its attractor's points is, in sizes.
+
+    A motion comes within ε where it enters within ε |μ1|^−k of the stable manifold, with |μ2|^k = ε: of `count` points
+    the nearest is at count^(−1/D), D = 1 + ln |μ1| / −ln |μ2|. Zero for orbits of another kind.
+    """
+    modulus = np.abs(multipliers)
+    leading, next_ = modulus[:, 0], np.max(modulus[:, 1:], axis=1, initial=0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dimension = 1.0 - np.log(leading) / np.log(next_)
+        return np.where((leading > 1.0) & (next_ < 1.0), count ** (-1.0 / dimension), 0.0)
 
 
 def _on_circles(
