@@ -111,11 +111,29 @@ def test_exponents_of_orbits_just_born(n, values):
     assert error.max() < 1e-9
 
 
+def test_periods_beside_a_doubling():
+    """Points alternate for longer than any transient on both sides of r = 3: Newton on both orbits tells.
+
+    The multiplier of the cycle of two is 4 + 2 r − r² = 1 − (r − 3)(r + 1).
+    """
+    away, session = 10.0 ** -np.arange(2.0, 13.0), jaxnh.Session(logistic, start={"x": 0.3})
+    for values, period in ((3.0 - away, 1), (3.0 + away, 2)):
+        assert session.run(jaxnh.Period(), r=values)["period"].to_numpy().tolist() == [period] * len(away)
+    data = session.run(jaxnh.Lyapunov(periods=4096), r=values)
+    off = np.abs(data["exponents"].to_numpy()[:, 0] - 0.5 * np.log1p(-(values - 3.0) * (values + 1.0)))
+    assert np.all(off <= data["exponents_error"].to_numpy()[:, 0])
+
+
 def test_no_orbit_before_its_fold():
-    """Below r = 1 + √8 there is no cycle of three, however near to itself a point comes; at 3 there is none of two."""
+    """Below r = 1 + √8 there is no cycle of three, however near to itself a point comes; at 3 there is none of two.
+
+    There the fixed point attracts, and its multiplier is −1 to rounding.
+    """
     values = np.append(1 + 8**0.5 - np.array([1e-9, 1e-8, 1.247e-7, 1e-6]), 3.0)
     session = jaxnh.Session(logistic, start={"x": 0.3})
-    assert not np.any(session.run(jaxnh.Period(), r=values)["period"])
+    period = session.run(jaxnh.Period(), r=values)["period"].to_numpy()
+    assert not period[:4].any()
+    assert period[4] < 2
     data = session.run(jaxnh.Lyapunov(periods=4096), r=values)
     assert "orbit" not in kinds_of(data, "exponents_method")[:4]
     assert abs(data["exponents"].to_numpy()[4, 0]) <= data["exponents_error"].to_numpy()[4, 0]

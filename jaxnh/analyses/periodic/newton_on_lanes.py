@@ -16,7 +16,7 @@ from jaxnh.analyses.batch import LaneRunner, select
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits.multipliers import eigenvalues
-from jaxnh.orbits.newton import Images, Orbit, find_orbits, solve
+from jaxnh.orbits.newton import Images, Orbit, find_doubled, find_orbits, solve
 from jaxnh.orbits.newton_program import MOST_COORDINATES, find_least_period, find_orbit
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
@@ -26,6 +26,7 @@ CONVERGED = 1e-7
 
 _NEARLY_NEUTRAL = 0.1  # |μ − 1| of a multiplier below which a small residual alone tells no orbit
 _ISOLATED = 0.25  # share of M − 1 that Newton's next step may change where there is an orbit
+_BESIDE = 0.01  # sizes: from where Newton has ended to the orbit that has been born in a doubling there
 
 ORBIT_TILE = 64
 """Lanes a tile of programs that follow orbits."""
@@ -77,7 +78,8 @@ def converged(
     its residual may be small without a zero. Newton's next step from such a place, −(x² + c/a)/(2x), changes the
     derivative M − 1 by the share (x² + c/a)/(2x²), more than half of itself; near a zero this share is small
     (Kantorovich's theorem, in the form that no scaling changes). It is half or more at multiple roots too, which are
-    bifurcations to rounding.
+    bifurcations to rounding, and beside the doubling that an orbit was born in as long as Newton is further from the
+    orbit than that from the one of half the period: there it is found with that one divided out.
     """
     exists = orbit.residual < CONVERGED
     with np.errstate(invalid="ignore"):
@@ -87,6 +89,14 @@ def converged(
         n = np.broadcast_to(np.asarray(n, np.int32), len(exists))
         at = images(lanes, strobe, select(p, doubtful), n[doubtful])
         exists[doubtful] = _contracts(at, orbit.u[doubtful], size[doubtful], strobe.chart)
+        born = doubtful[~exists[doubtful] & (n[doubtful] % 2 == 0)]
+        if len(born):
+            at = images(lanes, strobe, select(p, born), n[born] // 2)
+            doubled = find_doubled(at, orbit.u[born], size[born], strobe.chart.wrap)
+            beside = section_distance(strobe.chart, doubled.u, orbit.u[born], size[born]) < _BESIDE
+            partner = np.asarray(at(doubled.u, np.arange(len(born))).image)
+            apart = section_distance(strobe.chart, doubled.u, partner, size[born]) > CONVERGED
+            exists[born] = (doubled.residual < CONVERGED) & beside & apart
     return exists
 
 
