@@ -210,10 +210,10 @@ def why_common_steps(experiment: Experiment, axes: Sequence[Axis], plan: Plan, r
 
 
 def _job(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> tuple[Solver, Flow, float]:
-    """The solver, a flow and the lane-steps of a sweep, those that fill up tiles too."""
+    """The solver, a flow and the lane-steps of a sweep, those that fill up vectors and tiles too."""
     lanes = experiment.sweep.lanes
     tile = cost_model.lanes_a_tile(lanes)
-    lane_steps = work_of(requested, lanes) * plan.steps * -(-lanes // tile) * tile
+    lane_steps = work_of(requested, lanes) * plan.steps * -(-lanes // tile) * max(tile, cost_model.VECTOR)
     return plan.solver, experiment.flow(), lane_steps
 
 

@@ -14,20 +14,25 @@ from jaxnh.solvers import Solver, WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
-LOOP_OVER_WRITTEN_OUT = 4.0
+LOOP_OVER_WRITTEN_OUT = 2.0
 """Time of a step with its stages in a loop over that of one written out, at a full tile."""
 
+VECTOR = 8
+"""Lanes of a vector; of a tile of few lanes each vector of padding costs as much as one of lanes.
+
+A lane by itself, whose numbers stay in registers, takes half of the time of a vector.
+"""
+
 _COMPILING = 8e-4  # seconds to trace and compile an equation of a step that is written out
-_LOOPED = 2e-10  # seconds more for a coordinate at a stage of a lane-step, where the stages are a loop
+_LOOPED = 7e-11  # seconds more for a coordinate at a stage of a lane-step, where the stages are a loop
 _RATE = 1e-9  # seconds for a coordinate at a stage of a lane-step in a loop
 _WORTH_COMPARING = 0.5  # seconds of a run: solvers differ by a third of it, and each compiles for a fifth of a second
 _COMPILING_EVENTS = 0.012  # seconds to trace and compile an equation of a map whose steps end at events, in a loop
 _COMPARED = 2  # solvers beside the reference, each of which is compiled to be compared
 _GAIN = 1 / 3  # of a run: most that another solver saves
 _WORTH_CLASSES = 10.0  # seconds of a run: a look at all lanes takes some, and programs of more tiles a second each
-_TILES = ((16, 8), (128, 32), (512, 128))  # lanes of a sweep up to which a tile has so many
+_TILES = ((1, 1), (16, 8), (128, 32), (512, 128))  # lanes of a sweep up to which a tile has so many
 _LARGEST_TILE = 256
-_VECTOR = 8  # lanes of a vector; of a tile of few lanes each vector of padding costs as much as one of lanes
 _UP_TO = 32  # lanes of a tile that holds as few vectors as its lanes need
 _MANY_KICKS = 4096  # a period; of one lane, sines of its padding take up to seven eighths of the time
 
@@ -63,15 +68,15 @@ def is_worth_classes(solver: Solver, flow: Flow, lane_steps: float) -> bool:
 
 
 def lanes_a_tile(lanes: int, kicks: int = 0) -> int:
-    """Lanes of a tile for a sweep of so many: a lane of one costs what those that fill its tile cost.
+    """Lanes of a tile for a sweep of so many: a lane costs what those that fill up its tile cost.
 
     Args:
         kicks: evaluations of the field a period; where they are many, a few lanes have a tile without padding, for
             which programs of the calibration are compiled anew.
     """
-    if lanes < _VECTOR and kicks > _MANY_KICKS:
+    if lanes < VECTOR and kicks > _MANY_KICKS:
         return lanes
     tile = next((tile for most, tile in _TILES if lanes <= most), _LARGEST_TILE)
     if tile != _UP_TO:
         return tile
-    return _VECTOR * -(-lanes // (-(-lanes // tile) * _VECTOR))
+    return VECTOR * -(-lanes // (-(-lanes // tile) * VECTOR))
