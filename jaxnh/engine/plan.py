@@ -73,7 +73,7 @@ def calibrate(
     try:
         solver = SOLVERS[asked.solver] if asked.solver else None
         sampled = sum(count_of(row.start) for row in rows)  # random starts among them, more than the sweep has lanes
-        tile = cost_model.lanes_a_tile(max(sampled, experiment.sweep.lanes))
+        tile = cost_model.lanes_a_tile(max(sampled, experiment.sweep.lanes, 2))  # of one lane too there are many states
         few = lanes.in_tiles(tile, tile) if tile < lanes.tile else lanes  # whose programs analyses share
         return Calibration(rows, few, experiment.precision, target, asked.sizes, solver)
     except AccuracyError as error:

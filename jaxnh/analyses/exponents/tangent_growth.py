@@ -191,8 +191,10 @@ def _one_part(strobes: Maps) -> tuple[Maps, int]:
     """The parts of a period, which are equal without a clock, as one, and their number: one program serves any."""
     if not isinstance(strobes, ReturnMap) or not strobes.system.autonomous:
         return strobes, 1
-    first = jax.tree.map(lambda leaf: np.asarray(leaf)[:1], strobes)
-    return first, len(np.asarray(jax.tree.leaves(strobes)[0]))
+    parts = len(np.asarray(jax.tree.leaves(strobes)[0]))
+    if parts == 1:  # the same object, of which programs are at hand
+        return strobes, 1
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[:1], strobes), parts
 
 
 def advance_turns(

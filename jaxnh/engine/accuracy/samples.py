@@ -27,6 +27,7 @@ from jaxnh.systems.state import State
 from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO, NO_RETURN
 
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
+_AT_ONCE = 16 * _PERIODS  # of a rehearsal in one call; one by one where a lane is lost in them
 _AT_REST = 1e-6  # of a lane's fastest crossing
 _ALL_LANES_AT = (0, 12, 169)  # periods after the start at which every lane gives a sample
 _MOST_SENSITIVE = 512  # of all periods on the way: far more than the share that is left out
@@ -103,17 +104,30 @@ def take_samples(
 
 def are_lost_by(maps: SampleMaps, start: Samples, solver: Solver, steps: int, periods: int) -> bool:
     """Return whether steps lose a lane within so many periods whose motion stays finite."""
-    maps_of, now = maps.of(solver, steps), start
-    for _ in range(0, periods, _PERIODS):
-        met: list[State] = [now.states]
-        for _ in range(_PERIODS):
-            at = now._replace(states=met[-1])
-            met.append(maps.by_flow(iterate, lambda row: (maps_of(row), np.int32(1)), at, 1))
-        states = jax.tree.map(lambda *z: np.stack(z, axis=1), *met[:-1])
-        if _lost_on_the_way(maps, now, states, met[-1], first=1) >= 0:
-            return True
-        now = now._replace(states=met[-1])
+    map_of, now = maps.of(solver, steps), start
+
+    def image(now: Samples, count: int) -> State:
+        return maps.by_flow(iterate, lambda row: (map_of(row), np.int32(count)), now, count)
+
+    for done in range(0, periods, _AT_ONCE):
+        stretches = -(-min(_AT_ONCE, periods - done) // _PERIODS)
+        after = image(now, stretches * _PERIODS)
+        lost = _finite(now.states) & ~_finite(after)
+        for _ in range(stretches if np.any(lost) else 0):
+            met: list[State] = [now.states]
+            for _ in range(_PERIODS):
+                met.append(image(now._replace(states=met[-1]), 1))
+            states = jax.tree.map(lambda *z: np.stack(z, axis=1), *met[:-1])
+            if _lost_on_the_way(maps, now, states, met[-1], first=1) >= 0:
+                return True
+            now = now._replace(states=met[-1])
+        now = now._replace(states=after)
     return False
+
+
+def _finite(states: State) -> Bool[np.ndarray, ...]:
+    """Return which states (...) are finite in all components that errors are measured in."""
+    return np.all([np.isfinite(leaf) for leaf in image_of(states)], axis=0)
 
 
 def _follow_from_start(
@@ -137,7 +151,7 @@ def _follow_from_start(
             return start._replace(states=states), apart, steps
         steps *= 2
         if steps * maps.scheme.reference.stages > _MOST_SEED_KICKS:
-            some = np.any(np.all([np.isfinite(leaf) for leaf in image_of(last)], axis=0))
+            some = np.any(_finite(last))
             why = "" if maps.adaptive and some else _lost_rank(maps, start, states, stays)
             if why or not maps.adaptive:
                 raise _stiff(start, stays, why)
@@ -169,7 +183,7 @@ def _follow_by(
 def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: State, first: int = 2) -> int:
     """Return a lane that steps lose in period `first` or later but whose motion stays finite; −1: there is none."""
     every = jax.tree.map(lambda leaf, end: np.concatenate([leaf, end[:, None]], axis=1), states, last)
-    finite = np.all([np.isfinite(leaf) for leaf in image_of(every)], axis=0)
+    finite = _finite(every)
     when = np.argmin(finite, axis=1)
     lost = finite[:, 0] & (when >= first)
     if not np.any(lost):
