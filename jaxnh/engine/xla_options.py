@@ -30,13 +30,12 @@ _XLA_OPTIONS = {
     # Outputs of one shape share one loop, where each would compute the force anew.
     "xla_cpu_use_multi_output_fusion": "true",
 }
-# LLVM unrolls loops over few lanes before it looks for vectors, and finds none: a tile of eight lanes ran lane by lane.
 # Two vectors in flight hide the latency of a kick's division; four no more leave registers enough for tangents. LLVM
-# ends the process at an option that it does not know, so these are kept to releases it was tried with. Without it the
+# ends the process at an option that it does not know, so this one is kept to releases it was tried with. Without it the
 # loop takes one vector a turn, and JAX 0.12 was 8 % slower than 0.10 in maps and 26 % in spectra; with it the loops of
 # both have as many vector instructions (objdump of the object code; not timed). `make release-check` sees, of all
 # options, whether they still act.
-_LLVM_OPTIONS, _LLVM_TRIED = ("-force-vector-interleave=2", "-unroll-full-max-count=4"), ("0.10.", "0.11.", "0.12.")
+_LLVM_OPTION, _LLVM_TRIED = "-force-vector-interleave=2", ("0.10.", "0.11.", "0.12.")
 _WIDTH = "--xla_cpu_prefer_vector_width"
 _VECTORS = re.compile(r"avx2?|avx512(f|dq|vl|bw)|fma|asimd|sve2?")  # what arithmetic in float64 is compiled to
 _NO_MATTER = re.compile(r"--xla_dump\w*|--xla_force_host_platform_device_count")  # options that change no number
@@ -159,7 +158,7 @@ def _flags(given: str) -> str:
     if "--xla_backend_extra_options" not in flags:
         options = [f"{name}={value}" for name, value in _XLA_OPTIONS.items()]
         if version("jaxlib").startswith(_LLVM_TRIED):
-            options.extend(_LLVM_OPTIONS)
+            options.append(_LLVM_OPTION)
         flags = f"{flags} --xla_backend_extra_options={','.join(options)}".strip()
     if _WIDTH not in flags:
         flags = f"{flags} {_WIDTH}=512".strip()  # where the processor has it: vectors of eight lanes, not four

@@ -22,6 +22,9 @@ from jax.custom_batching import custom_vmap
 from jaxnh.solvers.explicit_method import ExplicitMethod
 
 _TERMS = 4  # of sums over stages that are written out, where the stages are a loop
+_FEW_LANES = (
+    16  # up to so many, loops over lanes are unrolled and have no vectors: one over all numbers of all lanes has
+)
 
 Numbers = list[Any]
 """Numbers of one lane, each ()."""
@@ -170,14 +173,16 @@ class WrittenOutRungeKutta(ExplicitMethod):
         rows = jnp.asarray(np.pad(self._tableau(), ((0, 0), (0, room - count))), initial.dtype)
 
         def state(i: Any, rates: Any) -> list[Any]:
+            known = rates.reshape(room, -1) if math.prod(lanes) <= _FEW_LANES else rates
+
             def term(j: Any) -> Any:
-                return rows[i, j] * rates[j]
+                return rows[i, j] * known[j]
 
             def more(block: Any, total: Any) -> Any:
                 return sum((term(block * _TERMS + j) for j in range(_TERMS)), total)
 
             first = sum((term(j) for j in range(1, _TERMS)), term(0))
-            moved = initial + lax.fori_loop(1, (i + _TERMS - 1) // _TERMS, more, first)
+            moved = initial + lax.fori_loop(1, (i + _TERMS - 1) // _TERMS, more, first).reshape(initial.shape)
             parts = zip([0, *ends], ends, leaves, strict=False)
             return [moved[start:end].reshape(leaf.shape) for start, end, leaf in parts]
 

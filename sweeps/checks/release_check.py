@@ -52,8 +52,6 @@ _COMMANDS = (
     ["-m", "jaxnh", "inspect", "results/well.h5", "--verify", "--trust"],
 )
 _KICKS = """\
-import sys
-
 import jax
 import numpy as np
 
@@ -64,19 +62,16 @@ from jaxnh.systems.particle import constant_speed
 
 flow = constant_speed(0.5, 1.0, 1.0, None)
 strobe = make_return_map(flow, SPLITTINGS["processed6"], 8)
-lanes = int(sys.argv[1])
-start = flow.start({name: np.full(lanes, 0.1) for name in ("x1", "x2", "y1")})
-jax.jit(jax.vmap(strobe)).lower(start, {"b": np.linspace(2.0, 6.0, lanes)}).compile()
+start = flow.start({name: np.full(256, 0.1) for name in ("x1", "x2", "y1")})
+jax.jit(jax.vmap(strobe)).lower(start, {"b": np.linspace(2.0, 6.0, 256)}).compile()
 """
 _OPPOSITES = {  # "": without it; XLA's default may come to be what the package asks for
     "xla_cpu_small_while_loop_byte_threshold=1000000000000": "xla_cpu_small_while_loop_byte_threshold=0",
     "xla_cpu_use_multi_output_fusion=true": "",  # =false is as good as =true to JAX 0.12
     "-force-vector-interleave=2": "-force-vector-interleave=1",
-    "-unroll-full-max-count=4": "-unroll-full-max-count=8",
     "512": "256",
 }
-_SAME_SIZE, _LANES = 0.04, (256, 8)
-_WIDE = b"\x62"  # first byte of an instruction with vectors of eight float64, on x86
+_SAME_SIZE = 0.04
 _IN_WHEEL = ("jaxnh/py.typed", "jaxnh/config/schema.json", "jaxnh/plotting/jaxnh.mplstyle")
 _IN_SDIST = ("pyproject.toml", "README.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "configs/table1.yaml")
 
@@ -168,17 +163,17 @@ def refused_options(python: str, folder: Path) -> list[str]:
 
 
 def idle_options(python: str, folder: Path) -> list[str]:
-    """Return the options in whose place the opposite gives like code for loops over kicks, of many lanes and of few.
+    """Return the options in whose place the opposite gives a loop over kicks code of the same size.
 
     One program compiled twice differs by a register or an alignment, its code by less than 1 % in size; with the
-    opposite of an option that acts the size or the share of wide vectors differs by 7 % and more.
+    opposite of an option that acts it differs by 13 % and more.
 
     Raises:
         Unfit: no code is written where it is looked for, or an option has no opposite here.
     """
     options = options_there(python, folder)
-    own = _code_of_kicks(python, folder, options)
-    if not own[0]:
+    size = _code_of_kicks(python, folder, options)
+    if not size:
         raise Unfit("XLA writes no object code where --xla_dump_to says")
     idle = []
     for place, (key, one) in enumerate(options):
@@ -187,25 +182,19 @@ def idle_options(python: str, folder: Path) -> list[str]:
         if one == "512" and not _wide_vectors():
             continue
         other = [*options[:place], (key, _OPPOSITES[one]), *options[place + 1 :]]
-        others = _code_of_kicks(python, folder, other)
-        same = [abs(there - here) <= _SAME_SIZE * here for there, here in zip(others, own, strict=True)]
-        idle += [f"{key}={one}"] if all(same) else []
+        idle += [f"{key}={one}"] if abs(_code_of_kicks(python, folder, other) / size - 1) < _SAME_SIZE else []
     return idle
 
 
-def _code_of_kicks(python: str, folder: Path, options: list[tuple[str, str]]) -> list[int]:
-    """Bytes of object code of a loop over kicks, and those of wide vectors, for each number of lanes."""
+def _code_of_kicks(python: str, folder: Path, options: list[tuple[str, str]]) -> int:
+    """Bytes of object code of a loop over kicks, compiled with these options of XLA."""
     values: dict[str, list[str]] = {}
     for key, one in options:
         values.setdefault(key, []).extend([one] if one else [])
-    measures = list[int]()
-    for lanes in _LANES:
-        with tempfile.TemporaryDirectory(dir=folder) as dump:
-            flags = [*(f"{key}={','.join(those)}" for key, those in values.items()), f"--xla_dump_to={dump}"]
-            _run([python, "-c", _KICKS, str(lanes)], folder, "a loop over kicks", {"XLA_FLAGS": " ".join(flags)})
-            code = b"".join(path.read_bytes() for path in sorted(Path(dump).glob("*.o")))
-            measures += [len(code), code.count(_WIDE)]
-    return measures
+    with tempfile.TemporaryDirectory(dir=folder) as dump:
+        flags = [*(f"{key}={','.join(those)}" for key, those in values.items()), f"--xla_dump_to={dump}"]
+        _run([python, "-c", _KICKS], folder, "a loop over kicks", {"XLA_FLAGS": " ".join(flags)})
+        return sum(path.stat().st_size for path in Path(dump).glob("*.o"))
 
 
 def _wide_vectors() -> bool:

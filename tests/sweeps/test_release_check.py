@@ -11,7 +11,7 @@ from sweeps.checks import release_check
 
 def test_options_are_those_of_the_package(tmp_path):
     options = release_check.options_there(sys.executable, tmp_path)
-    assert [key for key, _ in options].count("--xla_backend_extra_options") == 4
+    assert [key for key, _ in options].count("--xla_backend_extra_options") == 3
     assert {one for _, one in options} == set(release_check._OPPOSITES)
 
 
