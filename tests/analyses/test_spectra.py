@@ -70,19 +70,23 @@ def test_spectra_beside_heyoka(name):
 def test_roessler_and_its_exact_sum():
     """0.0714, 0, −5.3943 at a = b = 0.2, c = 5.7 (Sprott 2003); the sum is the mean of a + x − c, by the divergence.
 
-    What is left of the sum is what steps make of a volume that shrinks by e⁻³⁰ a turn: it falls with the target.
+    What is left of the sum is what steps make of a volume that shrinks by e⁻³⁰ a turn: it falls with the target. A lane
+    alone is beyond its 95 % bar once in twenty times, whatever it is: of sixteen starts five are so once in 1,200 times.
     """
     settings = [
-        "sweep.c={values: [5.7]}",
+        "system.c=5.7",
+        "initial={y: 1.0, z: 0.0}",
+        "sweep={x: {start: 1.0, stop: 9.0, count: 16}}",
         "analyses={lyapunov: {transient: 256, periods: 8192, exponents: 3}}",
         "accuracy.target=1e-10",
     ]
     experiment = jaxnh.load(ROOT / "configs/flows/roessler.yaml", settings)
     found = session_of(experiment).run("lyapunov")
-    exponents, errors = (found[key].to_numpy()[0] for key in ("exponents", "exponents_error"))
-    assert np.all(np.abs(exponents - [0.0714, 0.0, -5.3943]) <= errors + 5e-5)
-    assert errors[0] < 0.01
-    assert abs(found["sum_rule_residual"].to_numpy()[0]) < 1e-6
+    exponents, errors = (found[key].to_numpy() for key in ("exponents", "exponents_error"))
+    assert (np.abs(exponents - [0.0714, 0.0, -5.3943]) > errors + 5e-5).sum(axis=0).max() < 5
+    assert errors[:, 0].max() < 0.012
+    assert abs(exponents[:, 0].mean() - 0.0714) < errors[:, 0].mean() / 4.0 + 5e-5  # of sixteen together
+    assert np.abs(found["sum_rule_residual"].to_numpy()).max() < 1e-6
 
 
 def test_henon_and_heiles_in_pairs():

@@ -44,8 +44,8 @@ def run(options: PeriodOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datas
     attrs: dict[str, Any] = {"max_period": options.max_period, "transient": options.transient}
     if options.phase_response:
         variables |= phase_response_variables(batch, lanes, attractors, options.phase_response)
-        if missed := np.count_nonzero((attractors.period > 0) & np.isnan(variables["time"][1])):
-            attrs["warnings"] = f"period: {missed} lanes have no phase response: at rest, or no cycle by collocation"
+        if missed := np.count_nonzero(~attractors.failed & np.isnan(variables["time"][1])):
+            attrs["warnings"] = f"period: {missed} lanes have no phase response: at rest, or no cycle was found"
     return xr.Dataset(variables, attrs=attrs)
 
 
