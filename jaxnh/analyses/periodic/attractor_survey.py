@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.periodic.halved_periods import NEARLY_NEUTRAL, stable_halves
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
     converged,
@@ -31,13 +32,12 @@ from jaxnh.analyses.section_points import at_rest, first_places, points_and_end,
 from jaxnh.maps.family import Maps
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
-from jaxnh.orbits.newton import Orbit, find_doubled
+from jaxnh.orbits.newton import find_doubled
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.state import State
 
 _SMALLEST = 1e-4  # of the size at the start: branches, followed to 1e-9 of a size, then are so to hundreds of roundings
-_NEARLY_NEUTRAL = 1e-3  # |1 − μ| below which an orbit of even period may be one that has just been born in a doubling
 # Lanes are looked at first after this share of the transient, for orbits no longer than this.
 _EARLY, _EARLY_LIMIT = 8, 16
 _MOST_KEPT = 128  # points of a lane that stay on a card: half a million lanes have gigabytes of them
@@ -226,7 +226,7 @@ def _survey_at(
         first, last = last + 1, math.inf if lanes.on_card else 2 * last + 1
         with lanes.stage(f"{label}: orbits of {np.count_nonzero(tried.any(axis=0))} lanes", 0):
             orbit = orbits(lanes, strobe, point[lane], select(p, lane), n, size[lane])
-            orbit, n = _halved(lanes, strobe, orbit, select(p, lane), n, size[lane])
+            orbit, n = stable_halves(lanes, strobe, orbit, select(p, lane), n, size[lane])
         near = section_distance(batch.chart, orbit.u, point[lane], size[lane]) < 2 * CLOSE
         largest = largest_multiplier(orbit.monodromy)
         candidate = np.flatnonzero((orbit.residual < CONVERGED) & near & (largest < 1.0))
@@ -249,32 +249,6 @@ def _survey_at(
         multiplier[lanes_settled] = largest[settled]
         multiplier[lanes_settled[shorter]] = largest_multiplier(exact.monodromy[shorter])
     return EarlySurvey(Survey(period, point, residual, multiplier, monodromy, seen.status, size), seen.last)
-
-
-def _halved(
-    lanes: LaneRunner,
-    strobe: Maps,
-    orbit: Orbit,
-    p: Parameters,
-    n: Int[np.ndarray, " lanes"],
-    size: Float[np.ndarray, "lanes d"],
-) -> tuple[Orbit, Int[np.ndarray, " lanes"]]:
-    """Return orbits and their periods, with those of half the period where one of these is stable there.
-
-    Just before a doubling points alternate for long, and P²ⁿ(u) − u, of which the orbit of period n is all but a
-    threefold root, is small far around it. Newton on Pⁿ tells: the orbit of period n is there, and stable.
-    """
-    neutral = np.abs(largest_multiplier(orbit.monodromy) - 1.0) < _NEARLY_NEUTRAL
-    even = np.flatnonzero((n % 2 == 0) & (orbit.residual < CONVERGED) & neutral)
-    if not len(even):
-        return orbit, n
-    half = orbits(lanes, strobe, orbit.u[even], select(p, even), n[even] // 2, size[even])
-    beside = section_distance(strobe.chart, half.u, orbit.u[even], size[even]) < CLOSE
-    stable = beside & (half.residual < CONVERGED) & (largest_multiplier(half.monodromy) < 1.0)
-    orbit, n = Orbit(*map(np.array, orbit)), n.copy()
-    for whole, part in zip((*orbit, n), (*half, n[even] // 2), strict=True):
-        whole[even[stable]] = part[stable]
-    return orbit, n
 
 
 class _Look(NamedTuple):
@@ -350,7 +324,7 @@ def polish_beyond_doublings(lanes: LaneRunner, strobe: Maps, p: Parameters, surv
     """A survey whose orbits just beyond the doubling that they were born in are right to rounding, multipliers too."""
     period, u, residual, multiplier, monodromy, status, size = (leaf.copy() for leaf in survey)
     chart = strobe.chart
-    near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < _NEARLY_NEUTRAL)
+    near = (period > 0) & (period % 2 == 0) & (np.abs(multiplier - 1.0) < NEARLY_NEUTRAL)
     for n in np.unique(period[near]):
         born = np.flatnonzero(near & (period == n))
         half = images(lanes, strobe, select(p, born), np.full(len(born), n // 2, np.int32))
