@@ -192,9 +192,8 @@ def _one_part(strobes: Maps) -> tuple[Maps, int]:
     if not isinstance(strobes, ReturnMap) or not strobes.system.autonomous:
         return strobes, 1
     parts = len(np.asarray(jax.tree.leaves(strobes)[0]))
-    if parts == 1:  # the same object, of which programs are at hand
-        return strobes, 1
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[:1], strobes), parts
+    # Of one part it is the same object, of which programs are at hand.
+    return strobes if parts == 1 else jax.tree.map(lambda leaf: np.asarray(leaf)[:1], strobes), parts
 
 
 def advance_turns(
