@@ -22,9 +22,7 @@ from jax.custom_batching import custom_vmap
 from jaxnh.solvers.explicit_method import ExplicitMethod
 
 _TERMS = 4  # of sums over stages that are written out, where the stages are a loop
-_FEW_LANES = (
-    16  # up to so many, loops over lanes are unrolled and have no vectors: one over all numbers of all lanes has
-)
+_FEW_LANES = 16  # loops over no more are unrolled, and have no vectors: one over all numbers of all lanes has
 
 Numbers = list[Any]
 """Numbers of one lane, each ()."""
