@@ -8,7 +8,7 @@ from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.xla_options import configure
 
 
-def experiment_of(config: Config) -> Experiment:
+def checked_experiment(config: Config) -> Experiment:
     """The experiment of a config.
 
     Raises:

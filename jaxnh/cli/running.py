@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxnh.cli.exit_codes import Stop
-from jaxnh.cli.experiments import experiment_of
+from jaxnh.cli.experiments import checked_experiment
 from jaxnh.cli.report import report
 from jaxnh.cli.terminal import progress
 from jaxnh.config.config import Config
@@ -23,7 +23,7 @@ def run(config: Config, output: Path | None, how: RunOptions, *, quiet: bool) ->
     """Run a config into a result file, unless that is there, and print what has come of it."""
     if how.dask:
         dask_workers.check(how.dask)
-    experiment = experiment_of(config)
+    experiment = checked_experiment(config)
     path = file_of(output or Path("results") / f"{Path(experiment.label).stem}.h5")
     if is_there(experiment, path, fresh=how.fresh):
         tiles.tidy(tiles.folder_of(path))

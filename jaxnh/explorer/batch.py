@@ -9,18 +9,11 @@ from jaxnh.config.values import Content, with_values, without_values
 from jaxnh.config.yaml_source import from_dict, from_text
 from jaxnh.engine.experiment import Experiment
 from jaxnh.explorer.view import View
-from jaxnh.systems.user_file import UserFile
 
 
 def content_of(experiment: Experiment) -> dict[str, Any]:
     """Return the content of the config of an experiment."""
     return dict(from_text(experiment.text).data)
-
-
-def experiment_of(content: Content, user_file: UserFile | None) -> Experiment:
-    """The experiment of a config in plain dicts."""
-    text = from_dict(content).text
-    return Experiment.from_text(text, user_file.text if user_file else None)
 
 
 def with_sweep(content: Content, grids: Mapping[str, Any], analyses: Mapping[str, Any]) -> dict[str, Any]:

@@ -182,7 +182,7 @@ class Sessions:
         if target is not None:
             content["accuracy"] = {**(content.get("accuracy") or {}), "target": target}
             content["accuracy"] = {k: v for k, v in content["accuracy"].items() if k not in ("solver", "steps")}
-        return batch.experiment_of(content, self._user_file)
+        return Experiment.from_content(content, self._user_file)
 
     def _movable(self) -> Iterator[Parameter]:
         """Parameters that a lane may have another value of."""

@@ -13,7 +13,7 @@ import pytest
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.batch import LaneBatch, broadcast_start
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.exponents.tangent_growth import gram_schmidt
+from jaxnh.analyses.exponents.gram_schmidt import gram_schmidt
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.periodic.newton_on_lanes import least_period
 from jaxnh.analyses.trajectories import diagram

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refinement_needed
-from jaxnh.analyses.exponents.tangent_growth import average, begin, cut_period
+from jaxnh.analyses.exponents.period_parts import cut_period
+from jaxnh.analyses.exponents.tangent_growth import average, begin
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed
 from tests.helpers.batches import batch_of

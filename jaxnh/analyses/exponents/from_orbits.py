@@ -13,7 +13,8 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
 from jaxnh.analyses.exponents.errors import change
-from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns, period_parts
+from jaxnh.analyses.exponents.period_parts import period_parts
+from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns
 from jaxnh.analyses.periodic.attractor_survey import Survey, early_timing, survey, survey_early
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images, orbits
 from jaxnh.analyses.section_points import states_at

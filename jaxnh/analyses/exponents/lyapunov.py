@@ -44,6 +44,7 @@ from jaxnh.analyses.exponents.estimates import (
 )
 from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
 from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refine, refinement_needed, spares_last
+from jaxnh.analyses.exponents.period_parts import cut_period, period_parts
 from jaxnh.analyses.exponents.tables import dataset
 from jaxnh.analyses.exponents.tangent_growth import (
     TangentState,
@@ -51,8 +52,6 @@ from jaxnh.analyses.exponents.tangent_growth import (
     average,
     averages_in_turn,
     begin,
-    cut_period,
-    period_parts,
     quadrature,
 )
 from jaxnh.analyses.options.base import BLOCKS

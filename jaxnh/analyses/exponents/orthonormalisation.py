@@ -9,15 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.exponents.tangent_growth import (
-    LARGEST_LOSS,
-    LARGEST_SEEN,
-    TangentState,
-    average,
-    begin,
-    cut_period,
-    split_stack,
-)
+from jaxnh.analyses.exponents.period_parts import cut_period, split_stack
+from jaxnh.analyses.exponents.tangent_growth import LARGEST_LOSS, LARGEST_SEEN, TangentState, average, begin
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.solvers import AdaptiveMethod
 from jaxnh.systems.state import is_finite

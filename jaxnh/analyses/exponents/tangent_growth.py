@@ -1,13 +1,12 @@
 """Growth of tangents and of volume along the motion of a lane, whose averages are exponents.
 
-The tangent flow is the exact derivative of the solver's own step. Tangents are orthonormalised by a written-out
-Gram–Schmidt several times a period (Benettin and co-workers 1980), as often as the contraction needs. The divergence of
+The tangent flow is the exact derivative of the solver's own step. Tangents are orthonormalised by Gram–Schmidt
+several times a period (Benettin and co-workers 1980), as often as the contraction needs. The divergence of
 the flow is integrated by itself, by Gauss–Legendre quadrature, where it is asked for.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -19,24 +18,24 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, Link, keep_all
+from jaxnh.analyses.exponents.gram_schmidt import gram_schmidt
+from jaxnh.analyses.exponents.period_parts import one_part
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.smooth_window import DEGREE, half_window_weights, moment_weights
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.build import cut_strobe, maps_between, prepare_tables
+from jaxnh.maps.build import maps_between
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.maps.section import rates
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.maps.step_grids import step_grid
-from jaxnh.solvers import SPLITTINGS, AdaptiveMethod
+from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import LaneStates, State, Vector, is_finite
 
 _PANEL_NODES, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
 _BETWEEN_NODES = SPLITTINGS["blanes_moan6"]
-_WRITTEN_OUT = 6  # vectors orthonormalised by written-out equations: of ten they are half of a program, here 2,000
-_LOST = 1e-9  # of a tangent's length, left across the others: rank is lost, where maps say that some is
 LARGEST_LOSS = 18.0
 """A tangent may shrink by e^−18 against another between orthonormalisations: eight digits are left."""
 
@@ -109,39 +108,6 @@ def _nodes(batch: LaneBatch) -> Quadrature:
     return Quadrature(flow, in_precision(maps, batch.precision), t, (half[:, None] * _PANEL_WEIGHTS).ravel())
 
 
-def period_parts(batch: LaneBatch, parts: int, refinement: int = 1) -> Maps:
-    """Return the stacked maps between orthonormalisations, `parts` a period, with `refinement` times the steps."""
-    if batch.family is not None:
-        return batch.family.maps(
-            batch.system,
-            (parts, refinement),
-            lambda system: cut_period(batch.with_system(system), parts, refinement),
-            lambda systems: prepare_tables(systems, batch.solver, refinement * batch.steps, parts),
-        )
-    return cut_period(batch, parts, refinement)
-
-
-def cut_period(batch: LaneBatch, parts: int, refinement: int = 1) -> ReturnMap:
-    """Return the stacked maps between orthonormalisations for lanes with one system."""
-    solver, steps = batch.solver, refinement * batch.steps
-    if isinstance(solver, AdaptiveMethod):
-        solver = solver.with_least(refinement * solver.least)
-    strobe = cut_strobe(batch.flow, solver, steps, parts, compensated=batch.compensated)
-    return in_precision(strobe, batch.precision)
-
-
-def split_stack(strobes: ReturnMap, roomy: ReturnMap) -> list[ReturnMap]:
-    """Split a stack into stacks of one map, padded like those of `roomy`, so that one program serves both."""
-
-    def row(leaf: ArrayLike, like: ArrayLike, k: int) -> np.ndarray:
-        part = np.asarray(leaf)[k : k + 1]
-        more = [(0, full - own) for full, own in zip(np.shape(like), part.shape, strict=True)]
-        return np.pad(part, more, mode="edge")
-
-    count = len(np.asarray(jax.tree.leaves(strobes)[0]))
-    return [jax.tree.map(functools.partial(row, k=k), strobes, roomy) for k in range(count)]
-
-
 def average(
     lanes: LaneRunner, strobes: Maps, growth: TangentState, p: Parameters, count: int, first: float = 0.0
 ) -> tuple[TangentState, Float[np.ndarray, "lanes sums"]]:
@@ -168,7 +134,7 @@ def averages_in_turn(
 
     Tangents and how fast they were lost stay on the device: only the last of these states has any.
     """
-    strobes, parts = (strobes, 1) if quadrature else _one_part(strobes)
+    strobes, parts = (strobes, 1) if quadrature else one_part(strobes)
     links = [
         Link(advance, (strobes, quadrature, np.int32(count * parts), np.float64(share)), (), count, _sums)
         for share in firsts
@@ -185,15 +151,6 @@ def averages_in_turn(
 def _sums(growth: TangentState) -> tuple[TangentState, TangentState]:
     """The whole state for the next periods, and its part that averages are made of."""
     return growth, growth._replace(tangents=(), loss=())
-
-
-def _one_part(strobes: Maps) -> tuple[Maps, int]:
-    """The parts of a period, which are equal without a clock, as one, and their number: one program serves any."""
-    if not isinstance(strobes, ReturnMap) or not strobes.system.autonomous:
-        return strobes, 1
-    parts = len(np.asarray(jax.tree.leaves(strobes)[0]))
-    # Of one part it is the same object, of which programs are at hand.
-    return strobes if parts == 1 else jax.tree.map(lambda leaf: np.asarray(leaf)[:1], strobes), parts
 
 
 def advance_turns(
@@ -334,67 +291,3 @@ def _orthonormalise_across(
     if singular is not None:  # at rest the flow has no direction
         lengthened = jnp.where(jnp.isneginf(along), along, lengthened)
     return tuple(tangents), (lengthened, *grown)
-
-
-def gram_schmidt(
-    vectors: Sequence[Vector], singular: Array | None = None
-) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
-    """Return orthonormal vectors of the same span, and the logarithms of the lengths, components of any shape.
-
-    Args:
-        singular: whether the vectors are images under a map that has less than full rank. Those in the span of the ones
-            before them, but for rounding, have the logarithm −∞ then, and another direction, across all.
-    """
-    if len(vectors) > _WRITTEN_OUT and singular is None:
-        return _gram_schmidt_in_loop(vectors)
-    orthonormal: list[Vector] = []
-    logs, lost = [], []
-    for whole in vectors:
-        vector = _project_out(orthonormal, whole)
-        square = sum(v * v for v in vector)
-        inverse, grown = 1.0 / jnp.sqrt(square), 0.5 * jnp.log(square)
-        if singular is not None:
-            lost.append(singular & (square <= _LOST**2 * sum(v * v for v in whole)))
-            inverse, grown = jnp.where(lost[-1], 0.0, inverse), jnp.where(lost[-1], -jnp.inf, grown)
-        orthonormal.append(tuple(v * inverse for v in vector))
-        logs.append(grown)
-    for k, vanished in enumerate(lost):
-        across = _orthogonal_to(orthonormal)
-        orthonormal[k] = tuple(jnp.where(vanished, new, old) for new, old in zip(across, orthonormal[k], strict=True))
-    return tuple(orthonormal), tuple(logs)
-
-
-def _gram_schmidt_in_loop(vectors: Sequence[Vector]) -> tuple[tuple[Vector, ...], tuple[Array, ...]]:
-    """Return what `gram_schmidt` does: each vector in turn is made a unit one, and taken out of all later ones."""
-    components = jnp.stack([jnp.stack(vector) for vector in vectors])
-    numbers = jnp.arange(len(vectors)).reshape(-1, *(1,) * (components.ndim - 1))
-
-    def normalise(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        left, squares = carry
-        square = jnp.sum(left[k] ** 2, axis=0, keepdims=True)
-        unit = (left[k] / jnp.sqrt(square))[None]
-        across = left - jnp.sum(left * unit, axis=1, keepdims=True) * unit
-        left = jnp.where(numbers > k, across, jnp.where(numbers == k, unit, left))
-        return left, squares.at[k].set(square[0])
-
-    start = components, jnp.ones_like(components[:, 0])
-    units, squares = lax.fori_loop(0, len(vectors), normalise, start)
-    logs = 0.5 * jnp.log(squares)
-    return tuple(tuple(unit) for unit in units), tuple(logs)
-
-
-def _project_out(orthonormal: Sequence[Vector], vector: Vector) -> Vector:
-    """Return what is left of a vector across orthonormal ones."""
-    for base in orthonormal:
-        overlap = sum(v * e for v, e in zip(vector, base, strict=True))
-        vector = tuple(v - overlap * e for v, e in zip(vector, base, strict=True))
-    return vector
-
-
-def _orthogonal_to(orthonormal: Sequence[Vector]) -> Vector:
-    """Return a unit vector across vectors that are orthonormal or zero, where there is one: nearest to an axis."""
-    shares = jnp.stack([sum(e[i] * e[i] for e in orthonormal) for i in range(len(orthonormal[0]))])
-    nearest = jnp.argmin(shares, axis=0)
-    vector = _project_out(orthonormal, tuple(jnp.where(nearest == i, 1.0, 0.0) for i in range(len(shares))))
-    length = jnp.sqrt(sum(v * v for v in vector))
-    return tuple(v / length for v in vector)

@@ -37,10 +37,10 @@ def cost(
 
     content = read_config(config, overrides)
     # From here on JAX, which takes more than a second to import.
-    from jaxnh.cli.experiments import experiment_of
+    from jaxnh.cli.experiments import checked_experiment
     from jaxnh.cli.pricing import price
 
-    price(experiment_of(content), output, repeats, began, effects=of_effects)
+    price(checked_experiment(content), output, repeats, began, effects=of_effects)
 
 
 main = partial(run_app, app)
