@@ -138,7 +138,8 @@ class LivePlane:
         if view.variable == BASINS:
             return blocks(shape, step, view.columns * view.rows, first=True)
         each = self._seconds.get((id(known.session), view.variable), np.inf)
-        return blocks(shape, step, max(TILE * known.session.devices, int(_PASS_SECONDS / each)), first=first)
+        together = TILE * known.session.devices  # in the time of one lane
+        return blocks(shape, step, together * max(1, int(_PASS_SECONDS / each) // together), first=first)
 
     def _computed(
         self, view: View, session: Session, analyses: Options, places: tuple[Places, Places]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.exponents.period_parts import cut_period, split_stack
+from jaxnh.analyses.exponents.period_parts import cut_period, first_part, split_stack
 from jaxnh.analyses.exponents.tangent_growth import LARGEST_LOSS, LARGEST_SEEN, TangentState, average, begin
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.solvers import AdaptiveMethod
@@ -20,6 +20,7 @@ _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _TANGENT_ERROR = 1e-4  # of the logarithm of a tangent's growth a period, and of its modulus where that is above one
 _TANGENT_ERRORS = 100.0  # or so many times the error of the map, of a coarse target
 _MOST_REFINED = 16
+_LOOKS = 64  # stretches of motion, at least, over which tangents of two numbers of steps are compared
 
 
 def _pilots(batch: LaneBatch) -> LaneBatch:
@@ -98,24 +99,33 @@ def refinement_needed(
         return 1
     few, room = _pilots(batch), cut_period(batch, 1)
     p, refinement, enough = dict(few.p), 1, max(_TANGENT_ERROR, _TANGENT_ERRORS * batch.error_estimate)
-    periods, followed = max(1, _PILOT_PARTS * _PILOT_PERIODS // parts), len(growth.logs) - int(spare_last)
+    periods, followed = max(1, _LOOKS // parts), len(growth.logs) - int(spare_last)
 
-    def grown(now: TangentState, pieces: Sequence[ReturnMap]) -> tuple[TangentState, np.ndarray, np.ndarray]:
-        """Growth over some pieces, and that of their moduli."""
+    def grown(now: TangentState, pieces: Sequence[ReturnMap], each: int) -> tuple[TangentState, np.ndarray, np.ndarray]:
+        """Growth over some pieces, so many times each, and that of their moduli."""
         total, moduli = np.zeros((2, 1, 1))
         for piece in pieces:
-            now, logs = average(lanes, piece, now, p, 1)
-            total, moduli = total + logs, moduli + np.abs(logs)
+            now, logs = average(lanes, piece, now, p, each)
+            total, moduli = total + each * logs, moduli + each * np.abs(logs)
         return now, total, moduli
 
     while refinement < _MOST_REFINED:
-        pieces = (refinement * parts, 2 * refinement * parts)
-        coarse, fine = (split_stack(cut_period(batch, n, n // parts), room) for n in pieces)
+        count = refinement * parts
+        coarse, fine = (cut_period(batch, n, n // parts) for n in (count, 2 * count))
+        if batch.flow.autonomous:  # pieces are equal: of many, several at a time
+            each = max(1, count // _LOOKS)
+            [few_steps], [many_steps] = (split_stack(first_part(stack), room) for stack in (coarse, fine))
+            stretches = [([few_steps], [many_steps], each, 2 * each)] * (count // each)
+        else:
+            few_steps, many_steps = split_stack(coarse, room), split_stack(fine, room)
+            span = count if batch.solver.processor[1] else 1
+            stretches = [
+                (few_steps[i : i + span], many_steps[2 * i : 2 * (i + span)], 1, 1) for i in range(0, count, span)
+            ]
         now, apart, whole = growth, *np.zeros((2, 1, 1))
-        span = len(coarse) if batch.solver.processor[1] else 1
-        for i in list(range(0, len(coarse), span)) * periods:
-            _, once, _ = grown(now, coarse[i : i + span])
-            now, twice, moduli = grown(now, fine[2 * i : 2 * (i + span)])
+        for once_through, twice_through, once_each, twice_each in stretches * periods:
+            _, once, _ = grown(now, once_through, once_each)
+            now, twice, moduli = grown(now, twice_through, twice_each)
             with np.errstate(invalid="ignore"):  # of a tangent that has vanished in both
                 apart, whole = apart + once - twice, whole + moduli
         apart, whole = (np.abs(values[:, :followed]) / periods for values in (apart, whole))

@@ -55,4 +55,9 @@ def one_part(strobes: Maps) -> tuple[Maps, int]:
         return strobes, 1
     parts = len(np.asarray(jax.tree.leaves(strobes)[0]))
     # Of one part it is the same object, of which programs are at hand.
-    return strobes if parts == 1 else jax.tree.map(lambda leaf: np.asarray(leaf)[:1], strobes), parts
+    return strobes if parts == 1 else first_part(strobes), parts
+
+
+def first_part(stack: ReturnMap) -> ReturnMap:
+    """Return the first map of a stack, as a stack of one."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[:1], stack)
