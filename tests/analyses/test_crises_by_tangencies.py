@@ -83,6 +83,21 @@ def test_the_crisis_of_a_window():
     assert float(window["limit"]) < below
 
 
+def test_chaos_that_comes_to_rest_while_it_is_looked_at():
+    """Below rho = 24.06 Lorenz's chaos ends, after 1,000 to 2,000 units of time on average from 23.3 to 23.45.
+
+    Of motions that end while they are looked at none is a limit cycle, and none of the others is on an attractor.
+    """
+    box = {"x": (-20.0, 20.0), "y": (-20.0, 20.0), "z": (5.0, 40.0)}
+    options = jaxnh.Basins(box=box, n_starts=16, transient=64, max_periods=512)
+    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-6)
+    groups = session.groups({"basins": options}, rho=[23.3, 23.4, 23.45])
+    assert set(jaxnh.labels(groups["attractors"]["kind"]).to_numpy().ravel()) == {"equilibrium"}
+    left = groups["basins"]["attractor"] == 0
+    assert np.any(left)
+    assert set(np.unique(jaxnh.labels(groups["basins"]["undecided"]).where(left, "no"))) <= {"no", "time", "transient"}
+
+
 @pytest.mark.slow
 def test_the_crisis_of_a_flow():
     """Lorenz's chaos becomes an attractor at rho = 24.06 (Kaplan and Yorke, Commun. Math. Phys. 67 (1979) 93).

@@ -102,11 +102,43 @@ def classify(
 ) -> Attractors:
     """Classify the motions of the lanes of a batch that are done; they go on from the points in the records.
 
-    The batch has them at their start, which sizes are held against.
+    The batch has them at their start, which sizes are held against. A restless motion may come to rest or to an orbit
+    while it is looked at, and is then no one thing: it is looked at once more from where it has come to.
 
     Args:
         longest_period: of periodic orbits.
         longest: periods that a lane may take.
+    """
+    judged, later, ends = _classify(batch, lanes, records, longest_period, longest)
+    again = np.flatnonzero(later & (records.known == RESTLESS))
+    if not len(again):
+        return judged
+    onwards = select(records, again)._replace(u=ends[again])
+    second = _classify(batch.take(again), lanes, onwards, longest_period, longest)[0]
+    return _with_rows(judged, again, second)
+
+
+def _with_rows(judged: Attractors, rows: Int[np.ndarray, " some"], others: Attractors) -> Attractors:
+    """Return attractors with others in place of some."""
+    count = max(judged.points.shape[1], others.points.shape[1])
+    judged, others = (
+        each._replace(**dict(zip(("points", "steps"), pad_points(each.points, each.steps, count), strict=True)))
+        for each in (judged, others)
+    )
+    leaves = [leaf.copy() for leaf in judged]
+    for leaf, new in zip(leaves, others, strict=True):
+        leaf[rows] = new
+    return Attractors(*leaves)
+
+
+def _classify(
+    batch: LaneBatch, lanes: LaneRunner, records: LaneRecords, longest_period: int, longest: int
+) -> tuple[Attractors, Bool[np.ndarray, " reps"], Float[np.ndarray, "reps d"]]:
+    """Classify motions as one thing each.
+
+    Returns:
+        What they are; which of them may have become another one meanwhile: what has no kind, or one that chaos which
+        ends seems to have too; and where these have come to, (reps, d).
     """
     window, state = _average_confirming_window(batch, lanes, records)
     size = np.where(batch.chart.angles, 1.0, np.maximum(window.largest, records.least))
@@ -154,8 +186,25 @@ def classify(
     if len(subset):
         sets = (points[subset], steps[subset], size[subset], margin[subset])
         kind[subset[_leave_sets(moved_on.take(subset), lanes, u[subset], sets)]] = NONE
-    means = np.asarray(window.whole)
-    return Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
+    means, ends, later = np.asarray(window.whole), u.copy(), np.zeros(count, np.bool_)
+    if len(left):
+        ends[left] = cloud[:, -1]
+        later[left] = (kind[left] != CHAOTIC) | _comes_to_rest(batch, lanes, ends, size, window)[left]
+    judged = Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
+    return judged, later, ends
+
+
+def _comes_to_rest(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    ends: Float[np.ndarray, "lanes d"],
+    size: Float[np.ndarray, "lanes d"],
+    window: WindowAverages,
+) -> Bool[np.ndarray, " lanes"]:
+    """Return whether motions are at an equilibrium in the end, as with a clock none is."""
+    if not batch.flow.autonomous:
+        return np.zeros(len(ends), np.bool_)
+    return find_equilibria(batch_from_points(batch, lanes, ends), lanes, ends, size, window).exists
 
 
 def _clouds(

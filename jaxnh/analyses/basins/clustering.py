@@ -49,6 +49,7 @@ from jaxnh.systems.status import NOT_FINITE
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
 _FRUITLESS = 4  # times in turn that lanes of one cluster are judged in vain
 _SEEDS = 4  # of restless lanes, likewise
+_STRAYS = 2.0  # gaps: by so much means over one window are off the attractor's, all but one in a hundred of them
 _CLEARLY = 2.0  # times as far as from its attractor is a lane from every other one, or not near to it
 
 
@@ -106,7 +107,7 @@ def find_attractors(
         assignment = _search(batch, lanes, records, point, assignment, limit, longest, most, departed)
         failed = np.flatnonzero((records.known == FAILED) & np.all(np.isfinite(records.u), axis=1))
         gone = [*departed, Departures(point[failed], select(records, failed))]
-        assignment, dropped = _drop_transients(batch.chart, assignment, gone)
+        assignment, dropped = _drop_transients(batch.chart, assignment, gone, records)
         transient |= dropped
         most = most if len(assignment.point) > before else max(1, most // 2)
         left = (assignment.number < 0) & np.isin(records.known, (SETTLED, RESTLESS))
@@ -166,7 +167,7 @@ def _search(
 
 
 def _drop_transients(
-    chart: Chart, assignment: Assignment, departures: Sequence[Departures]
+    chart: Chart, assignment: Assignment, departures: Sequence[Departures], records: LaneRecords
 ) -> tuple[Assignment, Bool[np.ndarray, " lanes"]]:
     """Drop chaotic attractors that some motions have left, and return which lanes had been on them."""
     if assignment.attractors is None:
@@ -175,7 +176,8 @@ def _drop_transients(
     stays = np.ones(len(assignment.point), np.bool_)
     for k in np.flatnonzero(assignment.attractors.kind == CHAOTIC).tolist():
         attractor: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], assignment.attractors)
-        stays[k] = not np.any(_was_on(chart, attractor, select(gone.records, gone.point == assignment.point[k])))
+        gaps, left = records.gap[assignment.number == k], select(gone.records, gone.point == assignment.point[k])
+        stays[k] = not np.any(_was_on(chart, attractor, left, float(np.median(gaps)) if len(gaps) else 0.0))
     number = np.where(stays, np.cumsum(stays) - 1, -1)
     kept = select(assignment.attractors, stays) if np.any(stays) else None
     on = assignment.number >= 0
@@ -184,9 +186,14 @@ def _drop_transients(
     return assignment._replace(point=assignment.point[stays], attractors=kept), dropped
 
 
-def _was_on(chart: Chart, target: Attractors, records: LaneRecords) -> Bool[np.ndarray, " some"]:
-    """Return whether motions were on a chaotic set in their last window, by place and by means within their gap."""
-    unit = records.unit * (records.gap / (2.0 * SETTLED_TO))[:, None]
+def _was_on(chart: Chart, target: Attractors, records: LaneRecords, typical: float) -> Bool[np.ndarray, " some"]:
+    """Return whether motions were on a chaotic set in their last window, by place and by means within a gap.
+
+    Args:
+        typical: median gap of lanes on the set, 4/3 of the standard deviation of means over a window. The gap of one
+            lane is by chance far below the error of its means, where both halves of the window err alike.
+    """
+    unit = records.unit * (np.maximum(records.gap, _STRAYS * typical) / (2.0 * SETTLED_TO))[:, None]
     alike = np.all(np.abs(records.means - target.means) <= unit + target.unit, axis=1)
     alike[alike] = distances(chart, target, records.u[alike], records.size[alike]) <= 1.0
     return alike
