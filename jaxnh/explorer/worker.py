@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Generic, TypeVar
 
 from jaxnh.exceptions import Stopped
@@ -76,6 +77,13 @@ class Worker:
                 self._requests.pop(key).stale = True
             self._requests[key] = request
             self._changed.notify()
+
+    def ask_ahead(self, passes: Iterator[Any]) -> None:
+        """Compute the first pass of an answer that no page has asked for yet: then its programs are at hand.
+
+        A failure is told of where a page asks.
+        """
+        self.ask("ahead", Request(islice(passes, 1), lambda _: None, lambda _: None, lambda label, share: None))
 
     def drop(self, key: Hashable) -> None:
         """Drop the request of a key."""

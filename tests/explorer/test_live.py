@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxnh
-from jaxnh.engine.progress import CallbackProgress
+from jaxnh.engine.progress import CallbackProgress, NullProgress
 from jaxnh.exceptions import InputError, Stopped
 from jaxnh.explorer.live import live as source_of
 
@@ -46,6 +46,16 @@ def test_a_coarse_picture_comes_before_the_whole_and_a_zoom_compiles_nothing(liv
     assert coarse.words.startswith("coarse: 96 values, 32 strobes after ")
     assert fine.words == "96 values, 64 strobes after 48 periods"
     assert np.array_equal(fine.data["b"], zoomed.values())
+
+
+def test_programs_of_a_view_are_compiled_by_its_first_picture():
+    """As the command has that made before a page asks (`Worker.ask_ahead`)."""
+    source = source_of(jaxnh.Experiment.from_dict(CONFIG), NullProgress(), COLUMNS)
+    next(source.passes(source.first))
+    before = source.sessions.compiled
+    assert before
+    next(source.passes(source.first))
+    assert source.sessions.compiled == before
 
 
 def test_the_saved_config_gives_the_same_numbers(live):

@@ -38,6 +38,30 @@ def test_first_passes_come_before_better_ones(worker):
     assert answers == ["one coarse", "other coarse", "one fine", "other fine"]
 
 
+def test_a_first_pass_is_computed_ahead_and_a_failure_of_it_is_not_told(worker):
+    taken, answers, failures, done = [], [], [], threading.Event()
+
+    def passes():
+        for k in range(3):
+            taken.append(k)
+            yield k
+
+    def failing():
+        taken.append("failing")
+        raise ValueError("ahead")
+        yield
+
+    worker.ask_ahead(passes())
+    worker.start().ask("page", asked(["page"], answers, failures=failures, done=done))
+    assert done.wait(PATIENCE)
+    assert (taken, answers, failures) == ([0], ["page"], [])
+    done.clear()
+    worker.ask_ahead(failing())
+    worker.ask("page", asked(["again"], answers, failures=failures, done=done))
+    assert done.wait(PATIENCE)
+    assert (taken, answers, failures) == ([0, "failing"], ["page", "again"], [])
+
+
 def test_a_new_request_stops_the_last_one_in_the_middle_of_a_pass(worker):
     watch, begun, stopped, done = Watch(worker), threading.Event(), threading.Event(), threading.Event()
 

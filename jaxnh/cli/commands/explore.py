@@ -69,6 +69,8 @@ def explore(
             yield from open_texts(opened, texts, watch, columns)
 
     server, page = make_server(opened, worker.start(), address, port, reopen)
+    if opened.source.computes:  # while a browser is opened
+        worker.ask_ahead(opened.source.passes(opened.source.first))
     print(f"explore: {page} shows {config}; Control-C stops it", flush=True)
     run(server, worker)
 
