@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import product
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from jaxnh.analyses.transients.crisis_scaling import fit_crisis
 from jaxnh.analyses.transients.lifetimes import escape_rate
 from jaxnh.analyses.transients.saddle import saddle_dimension
 from jaxnh.exceptions import InputError
+from tests.flows.lorenz import lorenz
 
 pytestmark = pytest.mark.usefixtures("always_one_core")
 LEAST = 0.95 - 3 * np.sqrt(0.95 * 0.05 / 100)
@@ -337,6 +339,72 @@ def test_rates_of_lifetimes_that_are_censored():
     nothing = escape_rate(np.full((1, 20), 3), np.ones((1, 20), bool), 8)
     assert np.isnan(nothing.rate).all()
     assert nothing.escapes[0] == 0
+
+
+@pytest.mark.parametrize("beside", [0.0, 0.2])
+def test_rates_where_some_starts_are_beside_the_saddle(beside):
+    """So many leave after some forty periods, and the others with the chance 1/1500: 95 of 100 intervals have that.
+
+    Escapes are counted from where their rate is steady: beyond the given transient where some are beside the saddle.
+    """
+    draws, count, chance = np.random.default_rng(4), 1000, 1 / 1500
+    sooner = draws.random((count, 512)) < beside
+    life = np.where(sooner, np.rint(draws.normal(40.0, 8.0, sooner.shape)), draws.geometric(chance, sooner.shape))
+    rate = escape_rate(np.minimum(life, 4096).astype(int), life <= 4096, 8)
+    share = np.mean((rate.mean[1] <= 1.0 / chance) & (1.0 / chance <= rate.mean[2]))
+    assert share >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / count)
+    assert np.mean(rate.transient == (64 if beside else 8)) > 0.9
+
+
+@jax.jit
+def advanced(y, loops, rho):
+    """Lorenz's motions 64 units of time later by Runge and Kutta's steps, and how often each has passed z = 21 downwards."""
+
+    def rates(y):
+        x, v, z = y
+        return jnp.stack([10.0 * (v - x), rho * x - v - x * z, x * v - 8.0 / 3.0 * z])
+
+    def step(_, now):
+        y, loops = now
+        h = 0.005
+        k1 = rates(y)
+        k2 = rates(y + 0.5 * h * k1)
+        k3 = rates(y + 0.5 * h * k2)
+        k4 = rates(y + h * k3)
+        after = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        passes = (y[2] > 21.0) & (after[2] <= 21.0)
+        return after, loops + passes.astype(loops.dtype)
+
+    return jax.lax.fori_loop(0, 12_800, step, (y, loops))
+
+
+@pytest.mark.slow
+def test_the_life_of_lorenz_chaos_below_its_crisis():
+    """Mean returns that motions have before them, at rho = 23.5, beside those counted of another integration.
+
+    A fifth of the starts come to rest within a hundred returns, beside the saddle.
+    """
+    box = {"x": (-20.0, 20.0), "y": (-20.0, 20.0), "z": (5.0, 40.0)}
+    session = jaxnh.Session(lorenz, start={"x": 1.0, "y": 1.0, "z": 20.0}, target=1e-6)
+    session = session.on(coordinate="z", value=21.0, direction="down")
+    data = session.run(jaxnh.Transients(n_starts=512, box=box, max_periods=4096), rho=[23.5]).isel(rho=0)
+    draws = np.random.default_rng(1)
+    y = jnp.array([draws.uniform(*ends, 1024) for ends in box.values()])
+    loops, alive, at_risk, turns = jnp.zeros(1024, int), np.ones(1024, bool), 0, []
+    for window in range(64):
+        y, after = advanced(y, loops, 23.5)
+        turned = np.asarray(after - loops)
+        before, alive, loops = alive, alive & (turned > 0), after
+        if window == 4:
+            first = before.sum()
+        if window >= 4:
+            at_risk, turns = at_risk + (before.sum() + alive.sum()) / 2, [*turns, turned[alive].mean()]
+    escapes = first - alive.sum()
+    mean, error = at_risk * np.mean(turns) / escapes, 2.0 * at_risk * np.mean(turns) / escapes**1.5
+    assert data["counted_after"] > 8
+    assert abs(data["mean_lifetime"] - mean) < np.hypot(
+        error, (data["mean_lifetime_high"] - data["mean_lifetime_low"]) / 2
+    )
 
 
 def horseshoe_words(limit):

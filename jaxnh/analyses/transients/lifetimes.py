@@ -8,7 +8,7 @@ does not (Kaplan and Meier, J. Am. Stat. Assoc. 53 (1958) 457, with a hazard tha
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -21,6 +21,8 @@ from jaxnh.maps.section import outputs
 from jaxnh.systems.state import State
 
 _FIRST, _AT_ONCE = 8, 64  # periods of the first call, and of later ones at most: most motions leave early
+_DIFFERS = 3.0  # standard deviations of the escapes in a stretch from those that the rate afterwards lets expect
+_FEWEST = 16  # escapes afterwards, that a stretch is left out for
 
 
 class Lifetimes(NamedTuple):
@@ -42,11 +44,13 @@ class EscapeRate(NamedTuple):
         rate: −ln of the share that stays for another period.
         mean: of the periods that motions have before them, one over the share that leaves.
         escapes: number of motions that they are known from, (lanes,).
+        transient: periods after which escapes are counted, (lanes,).
     """
 
     rate: Float[np.ndarray, "3 lanes"]
     mean: Float[np.ndarray, "3 lanes"]
     escapes: Int[np.ndarray, " lanes"]
+    transient: Int[np.ndarray, " lanes"]
 
 
 def lifetimes(batch: LaneBatch, lanes: LaneRunner, region: Box, most: int) -> Lifetimes:
@@ -82,16 +86,43 @@ def escape_rate(
 ) -> EscapeRate:
     """Return the rate from lifetimes beyond a transient; not numbers of a lane that has none.
 
-    The share that leaves in a period is a binomial share of the periods of all motions (`binomial_interval`).
+    The share that leaves in a period is a binomial share of the periods of all motions (`binomial_interval`), where it
+    is the same in all of them: motions that start beside the saddle leave sooner or later than those on it, and the
+    transient is longer where they are seen to (`_steady_after`).
     """
-    at_risk = np.sum(np.maximum(periods - transient, 0), axis=1)
-    escapes = np.sum(escaped & (periods > transient), axis=1)
+    begin = _steady_after(periods, escaped, transient)
+    at_risk, escapes = _between(periods, escaped, begin[:, None], np.inf)
     known = at_risk > 0
     total = np.maximum(at_risk, 1)
     share = np.stack([escapes / total, *binomial_interval(escapes, total)])
     share = np.where(known, share, np.nan)
     with np.errstate(divide="ignore"):
-        return EscapeRate(-np.log1p(-share), 1.0 / share[[0, 2, 1]], escapes)
+        return EscapeRate(-np.log1p(-share), 1.0 / share[[0, 2, 1]], escapes, begin)
+
+
+def _steady_after(
+    periods: Int[np.ndarray, "lanes starts"], escaped: Bool[np.ndarray, "lanes starts"], transient: int
+) -> Int[np.ndarray, " lanes"]:
+    """Return the end of the last stretch of time, each twice as long, whose rate differs from that afterwards."""
+    steady, begin, length = np.full(len(periods), transient), transient, max(transient, 1)
+    while begin < periods.max(initial=0):
+        end = begin + length
+        (at_risk, escapes), (later, left) = (
+            _between(periods, escaped, *ends) for ends in ((begin, end), (end, np.inf))
+        )
+        share = at_risk / np.maximum(at_risk + later, 1)
+        expected, deviation = share * (escapes + left), np.sqrt(share * (1.0 - share) * (escapes + left))
+        steady[(np.abs(escapes - expected) > _DIFFERS * deviation) & (left >= _FEWEST)] = end
+        begin, length = end, 2 * length
+    return steady
+
+
+def _between(
+    periods: Int[np.ndarray, "lanes starts"], escaped: Bool[np.ndarray, "lanes starts"], begin: Any, end: float
+) -> tuple[Int[np.ndarray, " lanes"], Int[np.ndarray, " lanes"]]:
+    """Return the periods of all motions between two times, and how many leave in them."""
+    at_risk = np.sum(np.clip(np.minimum(periods, end) - begin, 0, None), axis=1).astype(int)
+    return at_risk, np.sum(escaped & (periods > begin) & (periods <= end), axis=1)
 
 
 def region_of(box: Box, region: Mapping[str, tuple[float, float]]) -> Box:

@@ -105,6 +105,12 @@ def _of_lanes(rate: EscapeRate, saddle: Saddle, unit: str) -> dict[str, Entry]:
             variables[f"{name}{ending}"] = variable(LANE, data, f"{side}{words}", **attrs)
     return variables | {
         "escapes": variable(LANE, rate.escapes.astype(np.int32), "number of escapes that the rate is known from"),
+        "counted_after": variable(
+            LANE,
+            rate.transient.astype(np.int32),
+            "time after which escapes are counted, from where on their rate is steady",
+            counted_in=unit,
+        ),
         "saddle_exponents": variable(
             (LANE, "exponent"), saddle.exponents, "Lyapunov exponents on the saddle, per period of the map"
         ),
