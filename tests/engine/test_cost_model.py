@@ -20,7 +20,7 @@ from jaxnh.engine.plan import in_quickest_form
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.solvers import SOLVERS, SPLITTINGS, verner9
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.lorenz import known_flow

@@ -18,7 +18,7 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Section, System, flow_of
 from jaxnh.solvers import ADAPTIVE, AdaptiveMethod, Solver
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components
 
