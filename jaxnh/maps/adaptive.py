@@ -45,6 +45,7 @@ from jaxnh.systems.status import NOT_FINITE, OUT_OF_STEPS
 from jaxnh.systems.tracing import traced_once
 
 _MOST_TRIALS = 1 << 17  # steps that are tried in a map: a lane that needs more has run out of them
+_EXPLICIT = 8  # times as many explicit ones, which are cheaper, and are short where a motion passes a singularity
 _SHORTEST = 1e-15  # of the length of time: what needs shorter steps goes to infinity, or its rates do
 _FIRST = 1e-12  # of the length of time: the first step is as long at least, and shortened where that is too long
 _SMALL = 1e-4  # of the largest coordinate: the size of one that is smaller, which may be the rounding of others
@@ -75,7 +76,7 @@ class _Progress(NamedTuple):
     trials: Array
 
 
-class _Linearisation(NamedTuple):
+class _TangentTransport(NamedTuple):
     """How tangents go along with a state.
 
     Attributes:
@@ -141,6 +142,10 @@ class AdaptiveStrobe(ReturnMap):
         explicit = isinstance(self.solver.pair, WrittenOutRungeKutta)
         return explicit and stages_in_loop(self.solver, lambda: equations_with_tangents(self.system, tangents))
 
+    @property
+    def _most_trials(self) -> int:
+        return _MOST_TRIALS if isinstance(self.solver.pair, Rosenbrock) else _EXPLICIT * _MOST_TRIALS
+
     def rescaled_time(self, factor: ArrayLike) -> AdaptiveStrobe:
         return replace(self, length=self.length * factor)
 
@@ -157,7 +162,7 @@ class AdaptiveStrobe(ReturnMap):
         if not system.reduction.leaves_constraints:
             end = self.begin + self.length
             moving = along.change(lambda z, p: restored(system, end, z, placed, p), moving)
-        why = jnp.where(ended.trials < _MOST_TRIALS, NOT_FINITE, OUT_OF_STEPS)
+        why = jnp.where(ended.trials < self._most_trials, NOT_FINITE, OUT_OF_STEPS)
         arrived = masked(moving.state, ended.t >= self.length, why)
         each = unstacked_tangents(moving.tangents, len(tangents)) if along.stacked else moving.tangents
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
@@ -166,9 +171,9 @@ class AdaptiveStrobe(ReturnMap):
     def trials(self, state: State, p: Parameters) -> Array:
         """Number of steps that the motion from a state tries, the most there may be where it does not come through."""
         _, ended = self._marched(Moving(state), self._along(p, ())[0])
-        return jnp.where(ended.t >= self.length, ended.trials, _MOST_TRIALS)
+        return jnp.where(ended.t >= self.length, ended.trials, self._most_trials)
 
-    def _along(self, p: Parameters, tangents: tuple[Tangent, ...]) -> tuple[_Linearisation, Any]:
+    def _along(self, p: Parameters, tangents: tuple[Tangent, ...]) -> tuple[_TangentTransport, Any]:
         """How tangents go along, and they."""
         own, rolls = own_parameters(self.system, p), self._rolls(len(tangents))
         by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
@@ -176,9 +181,9 @@ class AdaptiveStrobe(ReturnMap):
         in_stack = linearised_in_loop(self.system, len(tangents)) if rolls else None
         if in_stack is not None:
             moved, by_p = stacked_tangents(moved, own, by_p)
-        return _Linearisation(p, own, by_p, in_stack or linearise, in_stack is not None, rolls), moved
+        return _TangentTransport(p, own, by_p, in_stack or linearise, in_stack is not None, rolls), moved
 
-    def _marched(self, start: Moving, along: _Linearisation) -> tuple[State, _Progress]:
+    def _marched(self, start: Moving, along: _TangentTransport) -> tuple[State, _Progress]:
         """The state on its constraints at the beginning, and the lane at its end."""
         system, reduction = self.system, self.system.reduction
         pair, how = self.solver.pair, {"along": along, "volume": start.log_volume is not None}
@@ -204,7 +209,7 @@ class AdaptiveStrobe(ReturnMap):
             )
 
         def unfinished(course: _Progress) -> Array:
-            going = (course.h > _SHORTEST * self.length) & (course.trials < _MOST_TRIALS)
+            going = (course.h > _SHORTEST * self.length) & (course.trials < self._most_trials)
             return (course.t < self.length) & going
 
         first = jax.tree.leaves(start.state)[0]
@@ -223,7 +228,7 @@ class AdaptiveStrobe(ReturnMap):
         split = time_split(self.system)
         return split.rest(split.table(t, self.system), self.system, (y, own))
 
-    def _explicit(self, pair: WrittenOutRungeKutta, along: _Linearisation, *, volume: bool) -> _Step:
+    def _explicit(self, pair: WrittenOutRungeKutta, along: _TangentTransport, *, volume: bool) -> _Step:
         """Steps whose tangents go along stage by stage."""
         by_matrix = not (along.rolls or any(along.by_p)) and has_cheap_jacobian(self.system, len(along.by_p))
         derivative = None if by_matrix else along.derivative
@@ -246,7 +251,7 @@ class AdaptiveStrobe(ReturnMap):
 
         return step
 
-    def _implicit(self, pair: Rosenbrock, along: _Linearisation, *, volume: bool) -> _Step:
+    def _implicit(self, pair: Rosenbrock, along: _TangentTransport, *, volume: bool) -> _Step:
         """Steps that are linearised as a whole."""
         system = self.system
 

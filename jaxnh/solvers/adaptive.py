@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeGuard
 
 import equinox as eqx
 
@@ -78,7 +78,7 @@ ADAPTIVE = {
 """Pairs with steps of a lane's own by their name in configs: one for stiff flows, and the explicit ones."""
 
 
-def has_loop(solver: Any) -> bool:
+def has_loop(solver: Any) -> TypeGuard[AdaptiveMethod | WrittenOutRungeKutta]:
     """Return whether a solver can have its stages in a loop."""
     return isinstance(solver.pair if isinstance(solver, AdaptiveMethod) else solver, WrittenOutRungeKutta)
 
