@@ -128,7 +128,7 @@ class Calibration:
             self._measure(maps)
         except TooDearError as dear:
             ways = [False] if dear.stiff else [True, False]
-            own = any(self._take_own_steps(maps, explicit=way) and self._agrees(maps, dear.kicks) for way in ways)
+            own = any(self._take_own_steps(maps, explicit=way, kicks=dear.kicks) for way in ways)
             if not own or self.floor > self._target:
                 self._measure(maps, at_any_price=True)
         except LostLaneError:
@@ -156,10 +156,14 @@ class Calibration:
         while self._reference.unresolved and self._split_unit():
             pass
 
-    def _take_own_steps(self, maps: SampleMaps, *, explicit: bool = False) -> bool:
+    def _take_own_steps(self, maps: SampleMaps, *, explicit: bool = False, kicks: int = 0) -> bool:
         """Measure everything anew with steps of a lane's own, implicit ones as stiff flows and corners need them.
 
         Where chaos enlarges rounding beyond the target in a unit of time, parts of it are tried as long as they help.
+
+        Args:
+            kicks: evaluations of the field a period with which common steps were too dear, and do well enough to tell
+                whether own ones have the same motions.
 
         Returns:
             Whether it helps: not where that is tried already, or is for no flow of this kind.
@@ -169,6 +173,9 @@ class Calibration:
         maps.tell("each lane takes steps of its own: those that all lanes share do not do, or take longer")
         try:
             self._measure(maps.with_own_steps(explicit=explicit))
+            found = self._maps, self._reference, self._samples, self._sizes
+            if kicks and not agree(*found, maps, kicks, self._target):
+                return False
             before = math.inf
             while 0.0 < self._target < self.floor <= 0.5 * before:
                 before = self.floor
@@ -176,10 +183,6 @@ class Calibration:
         except AccuracyError:
             return False
         return True
-
-    def _agrees(self, common: SampleMaps, kicks: int) -> bool:
-        """Return whether maps have the motions of common steps with so many evaluations of the field a period."""
-        return agree(self._maps, self._reference_steps, common, kicks, self._samples, self._sizes, self._target)
 
     def _pay(self, kicks: int, samples: Samples, worst: int = -1) -> None:
         """Look whether so many evaluations of the field a period, of steps that all lanes share, are worth it.
@@ -282,10 +285,6 @@ class Calibration:
         self.floor = self._largest(self._reference.known)
         self._tables, self._rounding = roundings_of_sums(*args, self._reference.kicks, self._largest), -math.inf
 
-    @property
-    def _reference_steps(self) -> int:
-        return self._reference.kicks // self._maps.scheme.reference.stages
-
     def _rounding_of_sums(self, error: float) -> float:
         """The rounding of plain sums in the worst of a few tables, of so many as it takes to compare with an error.
 
@@ -307,7 +306,7 @@ class Calibration:
             return False
         self._maps = self._maps.in_parts(parts)
         if self._maps.adaptive:
-            self._samples = spread_over_unit(self._maps, self._reference_steps, self._samples)
+            self._samples = spread_over_unit(self._maps, self._reference, self._samples)
         self._maps.tell(f"rounding grows beyond the target in a unit of time; errors are of 1/{parts} of it")
         self._measure_reference()
         return True

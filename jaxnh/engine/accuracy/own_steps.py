@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxnh.engine.accuracy.reference import Reference
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples, differences, gaps_between, image_of
 from jaxnh.exceptions import LostLaneError
 from jaxnh.maps.adaptive import count_trials
@@ -21,7 +22,8 @@ from jaxnh.solvers import ADAPTIVE
 from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
-_FEW = 16  # samples whose steps are counted, and that both ways have to agree on
+_COUNTED = 16  # samples whose steps are counted
+_COMPARED = 32  # samples, of which own steps are least known, whose motions are compared with those of common ones
 _FINEST_COUNTED = 1 << 16  # evaluations of the field of a calm period, at most
 _MARGIN = 2.0  # times as many evaluations of the field as own steps need are paid for common ones, which are simpler
 _NEAR_TARGET = 0.1  # times the target: errors of single steps add up
@@ -68,27 +70,28 @@ def too_dear(maps: SampleMaps, samples: Samples, kicks: int, target: float) -> T
 
 def agree(
     own: SampleMaps,
-    steps: int,
-    common: SampleMaps,
-    kicks: int,
+    reference: Reference,
     samples: Samples,
     sizes: Float[np.ndarray, " components"],
+    common: SampleMaps,
+    kicks: int,
     target: float,
 ) -> bool:
-    """Return whether both ways have the same motions over a unit of time, as far as their errors tell.
+    """Return whether both ways have the same motions from samples on, as far as their errors tell.
 
     Steps of a lane's own are long where the field says nothing of a brief pulse ahead, and may pass it without a stage
     in it.
 
     Args:
-        own: maps by steps of a lane's own, as fine as so many of a calm period.
+        own: maps by steps of a lane's own.
+        reference: their finest.
         common: maps by steps that all lanes share, too dear with so many evaluations of the field a period.
     """
-    few, count = _few(samples), _FINER * kicks // common.scheme.reference.stages
+    few = samples.take_lanes(np.argsort(reference.known, kind="stable")[-_COMPARED:])
     images = [
         maps.image(maps.of(maps.scheme.reference, n), few)
-        for maps, finest in ((own.in_parts(1), steps), (common, count))
-        for n in (finest, finest * 2 // 3)
+        for maps, most in ((own, reference.kicks), (common, _FINER * kicks))
+        for n in (most // maps.scheme.reference.stages, 2 * most // (3 * maps.scheme.reference.stages))
     ]
     of_own, of_common, apart = (
         gaps_between(differences(images[a], images[b]), sizes) for a, b in ((0, 1), (2, 3), (0, 2))
@@ -99,12 +102,13 @@ def agree(
     return right and bool(np.all(apart[known] < _BEYOND * max(own_error, common_error)))
 
 
-def spread_over_unit(maps: SampleMaps, steps: int, samples: Samples) -> Samples:
+def spread_over_unit(maps: SampleMaps, reference: Reference, samples: Samples) -> Samples:
     """Samples moved on by none to three of the parts that a unit of time has been cut into, as many by each.
 
     What is brief in the field, as a pulse, may always be in the same part of the unit, in which none of them begins.
     """
-    map_of, number = maps.of(maps.scheme.reference, steps), np.arange(len(samples.row)) * SPLIT // maps.parts
+    map_of = maps.of(maps.scheme.reference, reference.kicks // maps.scheme.reference.stages)
+    number = np.arange(len(samples.row)) * SPLIT // maps.parts
     moved = jax.tree.map(np.array, samples.states)
     for ahead in range(1, SPLIT):
         those = np.flatnonzero(number % SPLIT == ahead)
@@ -117,16 +121,12 @@ def spread_over_unit(maps: SampleMaps, steps: int, samples: Samples) -> Samples:
     return samples._replace(states=moved)
 
 
-def _few(samples: Samples) -> Samples:
-    return samples.take_lanes(np.unique(np.linspace(0, len(samples.row) - 1, _FEW).round().astype(int)))
-
-
 def _trials(maps: SampleMaps, samples: Samples, steps: int) -> float:
     """Explicit steps of a lane's own in a period, or unit of time, as fine as so many of a calm one.
 
     Of the slowest lanes, for which the others of their tile wait.
     """
-    picked = _few(samples)
+    picked = samples.take_lanes(np.unique(np.linspace(0, len(samples.row) - 1, _COUNTED).round().astype(int)))
     if maps.sectioned:
         picked = picked._replace(states=picked.states.state)
 
