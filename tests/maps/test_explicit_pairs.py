@@ -15,7 +15,7 @@ from jaxnh.maps.adaptive import adaptive_strobe
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.section import Section, begin
-from jaxnh.solvers import SOLVERS
+from jaxnh.solvers import ADAPTIVE
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian
 
@@ -26,7 +26,7 @@ PERIOD = 2 * math.pi
 
 
 def solver_of(name, rolled):
-    return replace(SOLVERS[name], rolled=rolled)
+    return replace(ADAPTIVE[name], rolled=rolled)
 
 
 def forced(mu=2.0):
