@@ -75,7 +75,7 @@ def test_steps_of_a_lane_s_own_are_taken_where_they_are_fewer(lanes):
     """Common steps would do, with 50,000 evaluations of the field a unit of time; heyoka has the state after the spike."""
     start = (1.0, 21.0)
     flow, plan, _ = plan_of(brusselator, start, 20.0, lanes)
-    assert plan.solver.name == "rodas5p"
+    assert plan.solver.name == "adaptive_tsitouras_papakostas8"  # accuracy binds them, and not stability
     assert 0.0 < plan.error_estimate <= TARGET
     state = flow.start(dict(zip("xy", start, strict=True)))
     image = iterate(make_return_map(flow, plan.solver, plan.steps), 1, state, {"rate": 20.0})
