@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from jaxnh.maps import adaptive
 from jaxnh.maps.adaptive import adaptive_strobe
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.protocol import Tangent
@@ -115,6 +116,15 @@ def test_parts_of_a_period_know_of_the_loop():
         solver = solver_of("adaptive_tsitouras_papakostas8", rolled)
         assert make_return_map(FORCED, solver, 40).trip_counts == (40.0, *inner)
         assert cut_strobe(FORCED, solver, 40, 4).trip_counts == (10.0, *inner)
+
+
+def test_explicit_steps_may_be_eight_times_as_many(monkeypatch):
+    """As where a motion passes a singularity: a lane with more than implicit ones may be still arrives."""
+    monkeypatch.setattr(adaptive, "_MOST_TRIALS", 20)
+    strobe = adaptive_strobe(FORCED, solver_of("adaptive_dopri8", rolled=True), 30, (0.0, PERIOD))
+    trials, ended = jax.jit(lambda z: (strobe.trials(z, {"mu": 2.0}), strobe(z, {"mu": 2.0})))(state_of(*START))
+    assert 20 < int(trials) < 160
+    assert np.isfinite(jax.tree.leaves(ended)).all()
 
 
 # ---- constraints
