@@ -31,7 +31,7 @@ from jaxnh.engine.executor import programs
 from jaxnh.engine.experiment import Experiment
 from jaxnh.exceptions import InputError, ResultError
 from jaxnh.maps import general_flow
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.straight_pieces import equations_within
 from jaxnh.systems.user_file import UserFile
 from tests.flows import constrained_oscillators, known_maps, moebius, paper_equations

@@ -18,7 +18,7 @@ from jaxnh.costs.effects import Requested
 from jaxnh.engine.accuracy.cost_model import lanes_a_tile
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.programs import Programs
-from jaxnh.solvers import WrittenOutRungeKutta
+from jaxnh.solvers.adaptive import has_loop
 
 _MULTIPLES = (1, 10, 100)  # of the lanes of the sweep
 _TIMED_SECONDS = 0.2
@@ -50,7 +50,7 @@ def price(
         rolled: whether the plan of the sweep has the stages in a loop.
     """
     solver = batch.solver
-    if not isinstance(solver, WrittenOutRungeKutta):
+    if not has_loop(solver):
         return None
     rows = []
     with lanes.stage("cost: both forms of a step", 0):

@@ -33,7 +33,7 @@ from jaxnh.jobs.cutting import Piece
 from jaxnh.jobs.job import Job, NumericalPlan
 from jaxnh.jobs.provenance import SecondsSpent
 from jaxnh.solvers import NAMED
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 
 if TYPE_CHECKING:
     import xarray as xr  # imported where the first result is made: with pandas it takes a third of a second

@@ -33,7 +33,7 @@ from jaxnh.jobs.provenance import Provenance, versions
 from jaxnh.maps.build import make_return_map, scheme_of
 from jaxnh.maps.section import Section, flow_of
 from jaxnh.solvers import SOLVERS, AdaptiveMethod, Solver, iteration
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.flow import Flow
 
 _MOST_CHOOSING = 1 << 16  # lanes of a sweep with more than are run unasked that analyses choose by

@@ -20,7 +20,7 @@ from jaxnh.engine.xla_options import configure, devices_of
 from jaxnh.exceptions import ResultError, RunError
 from jaxnh.jobs.cutting import Cutting, Piece, slab, tile_shape
 from jaxnh.solvers import NAMED
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.storage import hdf5
 
 _LANES = 16

@@ -1,7 +1,8 @@
 """The map over a stretch of time by an embedded pair, each lane with steps of its own.
 
 A lane takes the steps that its motion needs, while finished ones wait; the last step ends at the end. Tangents and
-volume take the very same steps: how long these are is not differentiated.
+volume take the very same steps: how long these are is not differentiated. Along the stages of an explicit pair they go
+with the state, by the field's linearisation at each; a Rosenbrock step is linearised as a whole.
 """
 
 from __future__ import annotations
@@ -19,15 +20,32 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.general_flow import Moving, linearise, own_parameters, restored, stack_leaves
+from jaxnh.maps.general_flow import (
+    Moving,
+    first_of_stack,
+    linearise,
+    linearised_in_loop,
+    own_parameters,
+    rates_along,
+    restored,
+    stack_leaves,
+    stacked_tangents,
+    stages_in_loop,
+    unstacked_tangents,
+)
+from jaxnh.maps.jacobians import equations_with_tangents, has_cheap_jacobian
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers.adaptive import AdaptiveMethod
+from jaxnh.solvers.rosenbrock import Rosenbrock
+from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components, masked
 from jaxnh.systems.status import NOT_FINITE, OUT_OF_STEPS
+from jaxnh.systems.tracing import traced_once
 
 _MOST_TRIALS = 1 << 17  # steps that are tried in a map: a lane that needs more has run out of them
+_EXPLICIT = 8  # times as many explicit ones, which are cheaper, and are short where a motion passes a singularity
 _SHORTEST = 1e-15  # of the length of time: what needs shorter steps goes to infinity, or its rates do
 _FIRST = 1e-12  # of the length of time: the first step is as long at least, and shortened where that is too long
 _SMALL = 1e-4  # of the largest coordinate: the size of one that is smaller, which may be the rounding of others
@@ -58,6 +76,38 @@ class _Progress(NamedTuple):
     trials: Array
 
 
+class _TangentTransport(NamedTuple):
+    """How tangents go along with a state.
+
+    Attributes:
+        p: parameters of the lane.
+        own: those that lanes may have of their own.
+        by_p: of each tangent its derivative in these, or None; of a stack that of all.
+        derivative: `linearise`, or as a stack has it.
+        stacked: whether all tangents are in one.
+        rolls: whether the stages of a step are a loop.
+    """
+
+    p: Parameters
+    own: Any
+    by_p: Any
+    derivative: Callable[..., tuple[Any, Any]]
+    stacked: bool
+    rolls: bool
+
+    def change(self, function: Callable[[State, Parameters], State], y: Moving) -> Moving:
+        """A change of the state, and of its tangents along it."""
+
+        def of_state(z: State, own: Any) -> State:
+            return function(z, {**self.p, **own})
+
+        return Moving(*self.derivative(of_state, y.state, self.own, y.tangents, self.by_p), y.log_volume)
+
+
+_Step = Callable[[Any, Any, Moving], tuple[Moving, State]]
+"""What a step from a time, of a length, does to a moving state, and the estimate of its error."""
+
+
 class AdaptiveStrobe(ReturnMap):
     """P over a stretch of time.
 
@@ -83,8 +133,18 @@ class AdaptiveStrobe(ReturnMap):
 
     @property
     def trip_counts(self) -> tuple[float, ...]:
-        """Steps of a calm motion; a stiff one has more."""
-        return (max(1.0, float(np.mean(_LONGEST * np.asarray(self.length) / np.asarray(self.longest)))),)
+        """Steps of a calm motion, a stiff one has more; and those of the loop over stages, where there is one."""
+        steps = max(1.0, float(np.mean(_LONGEST * np.asarray(self.length) / np.asarray(self.longest))))
+        rolls = first_of_stack(self, np.ndim(self.length))._rolls(0)
+        return (steps, float(self.solver.stages)) if rolls else (steps,)
+
+    def _rolls(self, tangents: int) -> bool:
+        explicit = isinstance(self.solver.pair, WrittenOutRungeKutta)
+        return explicit and stages_in_loop(self.solver, lambda: equations_with_tangents(self.system, tangents))
+
+    @property
+    def _most_trials(self) -> int:
+        return _MOST_TRIALS if isinstance(self.solver.pair, Rosenbrock) else _EXPLICIT * _MOST_TRIALS
 
     def rescaled_time(self, factor: ArrayLike) -> AdaptiveStrobe:
         return replace(self, length=self.length * factor)
@@ -95,45 +155,51 @@ class AdaptiveStrobe(ReturnMap):
     def pushforward(
         self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool = True
     ) -> Pushforward:
-        system, own, first = self.system, own_parameters(self.system, p), jax.tree.leaves(state)[0]
-        by_p, placed, ended = self._marched(state, p, tangents, volume)
+        system, zero = self.system, jnp.zeros_like(jax.tree.leaves(state)[0])
+        along, moved = self._along(p, tangents)
+        placed, ended = self._marched(Moving(state, moved, zero if volume else None), along)
         moving = ended.moving
         if not system.reduction.leaves_constraints:
             end = self.begin + self.length
-            moving = _carried_along(lambda z, own: restored(system, end, z, placed, {**p, **own}), moving, own, by_p)
-        why = jnp.where(ended.trials < _MOST_TRIALS, NOT_FINITE, OUT_OF_STEPS)
+            moving = along.change(lambda z, p: restored(system, end, z, placed, p), moving)
+        why = jnp.where(ended.trials < self._most_trials, NOT_FINITE, OUT_OF_STEPS)
         arrived = masked(moving.state, ended.t >= self.length, why)
-        pushed = tuple(Tangent(dz, t.p) for dz, t in zip(moving.tangents, tangents, strict=True))
-        return Pushforward(arrived, pushed, moving.log_volume if volume else jnp.zeros_like(first))
+        each = unstacked_tangents(moving.tangents, len(tangents)) if along.stacked else moving.tangents
+        pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
+        return Pushforward(arrived, pushed, moving.log_volume if volume else zero)
 
     def trials(self, state: State, p: Parameters) -> Array:
         """Number of steps that the motion from a state tries, the most there may be where it does not come through."""
-        _, _, ended = self._marched(state, p, (), volume=False)
-        return jnp.where(ended.t >= self.length, ended.trials, _MOST_TRIALS)
+        _, ended = self._marched(Moving(state), self._along(p, ())[0])
+        return jnp.where(ended.t >= self.length, ended.trials, self._most_trials)
 
-    def _marched(
-        self, state: State, p: Parameters, tangents: tuple[Tangent, ...], volume: bool
-    ) -> tuple[list[Any], State, _Progress]:
-        """The parameters' part of tangents, the state on its constraints at the beginning, and the lane at its end."""
-        system, reduction, own = self.system, self.system.reduction, own_parameters(self.system, p)
+    def _along(self, p: Parameters, tangents: tuple[Tangent, ...]) -> tuple[_TangentTransport, Any]:
+        """How tangents go along, and they."""
+        own, rolls = own_parameters(self.system, p), self._rolls(len(tangents))
         by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
-        rates = self._rates(volume)
+        moved: Any = tuple(t.state for t in tangents)
+        in_stack = linearised_in_loop(self.system, len(tangents)) if rolls else None
+        if in_stack is not None:
+            moved, by_p = stacked_tangents(moved, own, by_p)
+        return _TangentTransport(p, own, by_p, in_stack or linearise, in_stack is not None, rolls), moved
+
+    def _marched(self, start: Moving, along: _TangentTransport) -> tuple[State, _Progress]:
+        """The state on its constraints at the beginning, and the lane at its end."""
+        system, reduction = self.system, self.system.reduction
+        pair, how = self.solver.pair, {"along": along, "volume": start.log_volume is not None}
+        step = self._implicit(pair, **how) if isinstance(pair, Rosenbrock) else self._explicit(pair, **how)
 
         def advance(course: _Progress) -> _Progress:
-            y, left = course.moving, self.length - course.t
+            left = self.length - course.t
             last = 1.01 * course.h >= left
             h = lax.stop_gradient(jnp.where(last, left, course.h))
-            t = self.begin + course.t
-            (after, error, gained), moved = linearise(
-                lambda z, own: self._step(rates, t, h, z, {**p, **own}), y.state, own, y.tangents, by_p
-            )
-            log_volume = y.log_volume + gained[0] if volume else None
-            ahead = Moving(after, tuple(dz for dz, _, _ in moved), log_volume)
-            size = [jnp.maximum(s, jnp.abs(x)) for s, x in zip(course.size, _components(after), strict=True)]
-            share = self._share_of_tolerance(_components(error), size, _components(after))
+            ahead, error = step(self.begin + course.t, h, course.moving)
+            after = _components(ahead.state)
+            size = [jnp.maximum(s, jnp.abs(x)) for s, x in zip(course.size, after, strict=True)]
+            share = self._share_of_tolerance(_components(error), size, after)
             good = share <= 1.0
             return _Progress(
-                jax.tree.map(lambda new, old: jnp.where(good, new, old), ahead, y),
+                jax.tree.map(lambda new, old: jnp.where(good, new, old), ahead, course.moving),
                 [jnp.where(good, new, old) for new, old in zip(size, course.size, strict=True)],
                 jnp.where(good, jnp.where(last, self.length, course.t + h), course.t),
                 jnp.minimum(h * self._change(share, course), self.longest),
@@ -143,46 +209,74 @@ class AdaptiveStrobe(ReturnMap):
             )
 
         def unfinished(course: _Progress) -> Array:
-            going = (course.h > _SHORTEST * self.length) & (course.trials < _MOST_TRIALS)
+            going = (course.h > _SHORTEST * self.length) & (course.trials < self._most_trials)
             return (course.t < self.length) & going
 
-        first = jax.tree.leaves(state)[0]
+        first = jax.tree.leaves(start.state)[0]
         zero = jnp.zeros_like(first)
-        start = Moving(state, tuple(t.state for t in tangents), zero if volume else None)
         if not reduction.leaves_constraints:
-            start = _carried_along(lambda z, own: system.project(self.begin, z, {**p, **own}), start, own, by_p)
-        placed = start.state
-        start = Moving(reduction.reduce(placed), tuple(map(reduction.reduce, start.tangents)), start.log_volume)
+            start = along.change(lambda z, p: system.project(self.begin, z, p), start)
+        placed, reduce = start.state, reduction.reduce
+        moved = reduce(start.tangents) if along.stacked else tuple(map(reduce, start.tangents))
+        start = Moving(reduce(placed), moved, start.log_volume)
         size = [jnp.abs(lax.stop_gradient(x)) for x in _components(start.state)]
-        rate = jax.tree.unflatten(jax.tree.structure(start.state), rates(self.begin, start.state, own)[: _count(start)])
-        h = self._first_step(size, _components(rate))
+        h = self._first_step(size, _components(self._rate(self.begin, start.state, along.own)))
         course = _Progress(start, size, zero, h, zero + 1.0, zero > 1.0, jnp.int32(0))
-        return by_p, placed, lax.while_loop(unfinished, advance, as_batched(course, first))
+        return placed, lax.while_loop(unfinished, advance, as_batched(course, first))
 
-    def _rates(self, volume: bool) -> Callable[[Any, State, Any], list[Any]]:
-        """Rates of the state's numbers, and of the logarithm of a volume where that is asked for."""
-        system, split = self.system, time_split(self.system)
+    def _rate(self, t: Any, y: State, own: Any) -> State:
+        split = time_split(self.system)
+        return split.rest(split.table(t, self.system), self.system, (y, own))
+
+    def _explicit(self, pair: WrittenOutRungeKutta, along: _TangentTransport, *, volume: bool) -> _Step:
+        """Steps whose tangents go along stage by stage."""
+        by_matrix = not (along.rolls or any(along.by_p)) and has_cheap_jacobian(self.system, len(along.by_p))
+        derivative = None if by_matrix else along.derivative
+
+        @traced_once
+        def rates(system: Flow, t: Any, y: Moving, own: Any, by_p: Any) -> Moving:
+            values = time_split(system).table(t, system)
+            return rates_along(values, system, own, y, by_p, derivative=derivative, volume=volume)
+
+        def step(t: Any, h: Any, y: Moving) -> tuple[Moving, State]:
+            system, c = self.system, jnp.asarray(pair.c, h.dtype)
+
+            def field(stage: Any, y: Moving) -> Moving:
+                return rates(system, t + c[stage] * h, y, along.own, along.by_p)
+
+            after, error = (pair.rolled_pair if along.rolls else pair.written_pair)(field, h, y)
+            if system.reduction.leaves_constraints:
+                after = along.change(lambda z, p: system.project(t + h, z, p), after)
+            return after, lax.stop_gradient(error.state)
+
+        return step
+
+    def _implicit(self, pair: Rosenbrock, along: _TangentTransport, *, volume: bool) -> _Step:
+        """Steps that are linearised as a whole."""
+        system = self.system
 
         def rates(t: Any, y: State, own: Any) -> list[Any]:
-            def rate(z: State) -> State:
-                return split.rest(split.table(t, system), system, (z, own))
+            """Rates of the state's numbers, and of the logarithm of a volume where that is asked for."""
+            divergence = [system.reduction.divergence_of(lambda z: self._rate(t, z, own), y)] if volume else []
+            return [*jax.tree.leaves(self._rate(t, y, own)), *divergence]
 
-            return [*jax.tree.leaves(rate(y)), *([system.reduction.divergence_of(rate, y)] if volume else [])]
+        def of_state(t: Any, h: Any, y: State, p: Parameters) -> tuple[State, State, list[Any]]:
+            """The state after a step, its error, and what the volume gains."""
+            own, (leaves, structure) = own_parameters(system, p), jax.tree.flatten(y)
+            made = pair.pair_step(lambda t, z: rates(t, jax.tree.unflatten(structure, z), own), t, h, leaves)
+            after, error = (jax.tree.unflatten(structure, part) for part in (made.y, made.error))
+            if system.reduction.leaves_constraints:
+                after = system.project(t + h, after, p)
+            return after, *lax.stop_gradient((error, made.gained))
 
-        return rates
+        def step(t: Any, h: Any, y: Moving) -> tuple[Moving, State]:
+            (after, error, gained), moved = linearise(
+                lambda z, own: of_state(t, h, z, {**along.p, **own}), y.state, along.own, y.tangents, along.by_p
+            )
+            log_volume = y.log_volume + gained[0] if volume else None
+            return Moving(after, tuple(dz for dz, _, _ in moved), log_volume), error
 
-    def _step(
-        self, rates: Callable[[Any, State, Any], list[Any]], t: Any, h: Any, y: State, p: Parameters
-    ) -> tuple[State, State, list[Any]]:
-        """The state after a step, its error, and what the volume gains."""
-        system, own, (leaves, structure) = self.system, own_parameters(self.system, p), jax.tree.flatten(y)
-        made = self.solver.pair.pair_step(
-            lambda t, leaves: rates(t, jax.tree.unflatten(structure, leaves), own), t, h, leaves
-        )
-        after, error = (jax.tree.unflatten(structure, part) for part in (made.y, made.error))
-        if system.reduction.leaves_constraints:
-            after = system.project(t + h, after, p)
-        return after, *lax.stop_gradient((error, made.gained))
+        return step
 
     def _share_of_tolerance(self, error: list[Array], size: list[Array], after: list[Array]) -> Array:
         """Largest error of a component in units of what it may be; infinite where something is not finite."""
@@ -239,17 +333,8 @@ def count_trials(strobe: AdaptiveStrobe, state: State, p: Parameters) -> Array:
     return strobe.trials(state, p)
 
 
-def _carried_along(change: Callable[[State, Any], State], y: Moving, own: Any, by_p: list[Any]) -> Moving:
-    """A change of the state, and of its tangents along it."""
-    return Moving(*linearise(change, y.state, own, y.tangents, by_p), y.log_volume)
-
-
 def _components(y: State) -> list[Any]:
     return jax.tree.leaves(error_components(y))
-
-
-def _count(y: Moving) -> int:
-    return len(jax.tree.leaves(y.state))
 
 
 def _largest(values: list[Any]) -> Any:

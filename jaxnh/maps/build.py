@@ -59,6 +59,7 @@ class Scheme(Protocol):
         reference: the one that errors are measured with.
         summations: whether sums may be plain, compensated, or both.
         rough_steps: of the reference, for a first look at a flow.
+        first_steps: of the first reference, which is refined from there on.
         smooth: whether its flows are known to have neither jumps nor corners.
         stacked: whether all that lanes share is in tables, so that maps of several values of it go into one program.
     """
@@ -66,6 +67,7 @@ class Scheme(Protocol):
     reference: ClassVar[Solver]
     summations: ClassVar[tuple[bool, ...]]
     rough_steps: ClassVar[int]
+    first_steps: ClassVar[int]
     smooth: ClassVar[bool]
     stacked: ClassVar[bool]
 
@@ -98,6 +100,7 @@ class Kicks:
     reference: ClassVar[Solver] = SPLITTINGS["sofroniou_spaletta10"]
     summations: ClassVar[tuple[bool, ...]] = (False, True)
     rough_steps: ClassVar[int] = 32
+    first_steps: ClassVar[int] = 96
     smooth: ClassVar[bool] = True
     stacked: ClassVar[bool] = True
 
@@ -141,6 +144,7 @@ class StepScheme:
     reference: ClassVar[Solver] = verner9
     summations: ClassVar[tuple[bool, ...]] = (False,)
     rough_steps: ClassVar[int] = 16
+    first_steps: ClassVar[int] = 96
     smooth: ClassVar[bool] = False
     stacked: ClassVar[bool] = False
 
@@ -175,6 +179,16 @@ class AdaptiveScheme(StepScheme):
 
     def solvers(self, flow: Flow, precision: str = "float64") -> tuple[Solver, ...]:
         return (ADAPTIVE["rodas5p"],)
+
+
+class ExplicitAdaptiveScheme(StepScheme):
+    """Integration by explicit pairs with steps of a lane's own: of spikes, for which few of the steps are."""
+
+    reference: ClassVar[Solver] = ADAPTIVE["adaptive_tsitouras_papakostas8"]
+    first_steps: ClassVar[int] = 24  # of 84 that are as fine as rounding
+
+    def solvers(self, flow: Flow, precision: str = "float64") -> tuple[Solver, ...]:
+        return (ADAPTIVE["adaptive_tsitouras_papakostas8"],)
 
 
 class StepsToEvents(StepScheme):
@@ -219,6 +233,9 @@ SCHEMES: dict[type[Flow], tuple[Scheme, Scheme]] = {
 
 ADAPTIVE_SCHEME = AdaptiveScheme()
 """The way to integrate any flow that steps which all lanes share do not follow."""
+
+EXPLICIT_ADAPTIVE_SCHEME = ExplicitAdaptiveScheme()
+"""The way to integrate a flow that is not stiff, whose motions need some steps far shorter than others."""
 
 
 def scheme_of(system: Flow | Section, solver: Any = None) -> Scheme:

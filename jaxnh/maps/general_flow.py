@@ -26,7 +26,7 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.jacobians import equations_with_tangents, field_jacobian, has_cheap_jacobian, tangent_rate
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.time_tables import time_split
-from jaxnh.solvers import WrittenOutRungeKutta
+from jaxnh.solvers import AdaptiveMethod, WrittenOutRungeKutta
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State
 from jaxnh.systems.tracing import traced_once
@@ -136,25 +136,13 @@ class GeneralStrobe(ReturnMap):
         own = own_parameters(self.system, p)
         by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         moved: Any = tuple(t.state for t in tangents)
-        # In a loop a field with all tangents is one that has one of them, of more numbers.
-        size, rolls = time_split(self.system).size, self._rolls(len(tangents))
-        in_turn, apart = size > _IN_TURN, _APART < size <= _IN_TURN and len(tangents) <= _FEW
-        stacked = len(tangents) > 1 and rolls and not (self.carried or apart)
+        rolls = self._rolls(len(tangents))
+        in_stack = linearised_in_loop(self.system, len(tangents)) if rolls and not self.carried else None
+        stacked, derivative = in_stack is not None, in_stack or linearise
         by_matrix = not (rolls or any(by_p)) and has_cheap_jacobian(self.system, len(tangents))
-        derivative = partial(linearise_stacked, in_turn=in_turn) if stacked else linearise
         if stacked:
             moved, by_p = stacked_tangents(moved, own, by_p)
-
-        @traced_once
-        def rates(values: Sequence[Any], system: Flow, own: Any, y: Moving, by_p: Any) -> Moving:
-            def rate(z: State, own: Any) -> State:
-                return time_split(system).rest(values, system, (z, own))
-
-            divergence = system.reduction.divergence_of(lambda z: rate(z, own), y.state) if volume else None
-            if by_matrix:
-                value, rows = field_jacobian(system)(values, system, y.state, own)
-                return Moving(value, tuple(tangent_rate(rows, dz) for dz in y.tangents), divergence)
-            return Moving(*derivative(rate, y.state, own, y.tangents, by_p), divergence)
+        rates = traced_once(partial(rates_along, derivative=None if by_matrix else derivative, volume=volume))
 
         def field(values: Sequence[Any], y: Moving) -> Moving:
             return rates(list(values), self.system, own, y, by_p)
@@ -267,6 +255,44 @@ def linearise_stacked(
     return value, each(slope, moved, by_p)
 
 
+def linearised_in_loop(system: Flow, tangents: int) -> Callable[..., tuple[Any, Any]] | None:
+    """Return `linearise_stacked` for so many tangents of a field in a loop; None where each is by itself.
+
+    There a field with all tangents is one that has one of them, of more numbers.
+    """
+    size = time_split(system).size
+    apart = _APART < size <= _IN_TURN and tangents <= _FEW
+    return None if tangents < 2 or apart else partial(linearise_stacked, in_turn=size > _IN_TURN)
+
+
+def rates_along(
+    values: Sequence[Any],
+    system: Flow,
+    own: Any,
+    y: Moving,
+    by_p: Any,
+    *,
+    derivative: Callable[..., tuple[Any, Any]] | None,
+    volume: bool,
+) -> Moving:
+    """Rates of a state, of its tangents, and of the logarithm of a volume where that is asked for.
+
+    Args:
+        values: what time alone decides.
+        by_p: of each tangent its derivative in the parameters, or None.
+        derivative: `linearise`, or as of `linearised_in_loop`; None: tangents go by the field's matrix.
+    """
+
+    def rate(z: State, own: Any) -> State:
+        return time_split(system).rest(values, system, (z, own))
+
+    divergence = system.reduction.divergence_of(lambda z: rate(z, own), y.state) if volume else None
+    if derivative is None:
+        value, rows = field_jacobian(system)(values, system, y.state, own)
+        return Moving(value, tuple(tangent_rate(rows, dz) for dz in y.tangents), divergence)
+    return Moving(*derivative(rate, y.state, own, y.tangents, by_p), divergence)
+
+
 def linearise_all(
     function: Callable[[Any, Any], Any],
     y: Any,
@@ -313,7 +339,7 @@ def own_parameters(system: Flow, p: Parameters) -> dict[str, Any]:
     return {name: p[name] if name in p else system.parameters[name] for name in system.roles.of_lanes}
 
 
-def stages_in_loop(solver: WrittenOutRungeKutta, equations: Callable[[], int]) -> bool:
+def stages_in_loop(solver: WrittenOutRungeKutta | AdaptiveMethod, equations: Callable[[], int]) -> bool:
     """Return whether the stages of a step, each of so many equations, are a loop: written out they are too many."""
     return equations() * solver.stages > _LARGEST_STEP if solver.rolled is None else solver.rolled
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any, TypeGuard
+
 import equinox as eqx
 
 from jaxnh.solvers.rosenbrock import Rosenbrock, rodas5p
@@ -19,11 +22,13 @@ class AdaptiveMethod(eqx.Module):
         pair: the method of a step.
         name: name in configs and result files.
         least: steps a period, or unit of time, that every motion has, however calm: tangents along it may need them.
+        rolled: as of `WrittenOutRungeKutta`; None of a Rosenbrock method, whose stages are written out.
     """
 
     pair: Rosenbrock | WrittenOutRungeKutta = eqx.field(static=True)
     name: str = eqx.field(static=True)
     least: int = eqx.field(static=True, default=1)
+    rolled: bool | None = eqx.field(static=True, default=None)
 
     @property
     def source(self) -> str:
@@ -47,7 +52,7 @@ class AdaptiveMethod(eqx.Module):
 
     def with_least(self, steps: int) -> AdaptiveMethod:
         """The same method with so many steps a period at least."""
-        return AdaptiveMethod(self.pair, self.name, steps)
+        return replace(self, least=steps)
 
     def most_steps(self, fields: int) -> int:
         """Steps of a map with so many evaluations of the field at most; with more, estimates are of rounding."""
@@ -71,3 +76,13 @@ ADAPTIVE = {
     **{f"adaptive_{name}": AdaptiveMethod(pair, f"adaptive_{name}") for name, pair in RUNGE_KUTTA.items()},
 }
 """Pairs with steps of a lane's own by their name in configs: one for stiff flows, and the explicit ones."""
+
+
+def has_loop(solver: Any) -> TypeGuard[AdaptiveMethod | WrittenOutRungeKutta]:
+    """Return whether a solver can have its stages in a loop."""
+    return isinstance(solver.pair if isinstance(solver, AdaptiveMethod) else solver, WrittenOutRungeKutta)
+
+
+def in_loop(solver: Any) -> Any:
+    """A solver with its stages in a loop, where it can have them so, which needs the least compiling."""
+    return replace(solver, rolled=True) if has_loop(solver) else solver

@@ -7,7 +7,7 @@ iterated, so that a step has an exact derivative as an explicit one has.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,10 +15,27 @@ import jax.numpy as jnp
 from jax import lax
 from jax.scipy.linalg import lu_factor, lu_solve
 
-from jaxnh.solvers.runge_kutta import Numbers, PairStep, combine
+from jaxnh.solvers.runge_kutta import combine
 from jaxnh.systems.elimination import Factors, factorise, substitute
 
 _WRITTEN_OUT = 8  # coordinates up to which elimination is written out: its equations grow with their cube
+
+Numbers = list[Any]
+"""Numbers of one lane, each ()."""
+
+
+class PairStep(NamedTuple):
+    """A step of an embedded pair.
+
+    Attributes:
+        y: coordinates after it.
+        error: estimates of their errors.
+        gained: what is only integrated along, over the step.
+    """
+
+    y: Numbers
+    error: Numbers
+    gained: Numbers
 
 
 class Rosenbrock(eqx.Module):

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -23,23 +22,6 @@ from jaxnh.solvers.explicit_method import ExplicitMethod
 
 _TERMS = 4  # of sums over stages that are written out, where the stages are a loop
 _FEW_LANES = 16  # loops over no more are unrolled, and have no vectors: one over all numbers of all lanes has
-
-Numbers = list[Any]
-"""Numbers of one lane, each ()."""
-
-
-class PairStep(NamedTuple):
-    """A step of an embedded pair.
-
-    Attributes:
-        y: coordinates after it.
-        error: estimates of their errors.
-        gained: what is only integrated along, over the step.
-    """
-
-    y: Numbers
-    error: Numbers
-    gained: Numbers
 
 
 class WrittenOutRungeKutta(ExplicitMethod):
@@ -61,26 +43,14 @@ class WrittenOutRungeKutta(ExplicitMethod):
         """Evaluations of the vector field that the solution needs, a step."""
         return _used_stages(self.a, self.b)
 
-    def pair_step(self, field: Callable[[Any, Numbers], Numbers], t: Any, h: Any, y: Numbers) -> PairStep:
-        """One step with its error estimate.
-
-        Args:
-            field: of time and the d coordinates; their rates, and behind them rates of what is only integrated along.
-            t: the time at the beginning.
-            h: the step.
-            y: coordinates, each ().
-        """
-        n, stages = len(y), list[Numbers]()
-        for row, c in zip(self.a, self.c, strict=True):
-            moved = combine(y, row, [stage[:n] for stage in stages])
-            stages.append(_times(field(t + c * h, moved), h))
-        inner = [stage[:n] for stage in stages]
-        gained = combine(None, self.b, [stage[n:] for stage in stages])
-        return PairStep(combine(y, self.b, inner), combine(None, self.b_error, inner), gained)
-
     def written_stages(self, field: Callable[[int, Any], Any], h: Any, y0: Any) -> Any:
         """The state after a step h under a field of (number of the stage, state), stages written out."""
         return combine(y0, self.b[: self.stages], self._stages(field, h, y0, self.stages, _times))
+
+    def written_pair(self, field: Callable[[int, Any], Any], h: Any, y0: Any) -> tuple[Any, Any]:
+        """`written_stages`, and the estimate of its error."""
+        stages = self._stages(field, h, y0, len(self.b), _times)
+        return combine(y0, self.b, stages), combine(None, self.b_error, stages)
 
     def _stages(
         self, field: Callable[[int, Any], Any], h: Any, y0: Any, count: int, prod: Callable[[Any, Any], Any]
@@ -103,6 +73,16 @@ class WrittenOutRungeKutta(ExplicitMethod):
             h: the step.
             y0: any pytree of numbers of one lane.
         """
+        (after,) = self._rolled(field, h, y0, pair=False)
+        return after
+
+    def rolled_pair(self, field: Callable[[Any, Any], Any], h: Any, y0: Any) -> tuple[Any, Any]:
+        """`rolled_stages`, and the estimate of its error."""
+        after, error = self._rolled(field, h, y0, pair=True)
+        return after, error
+
+    def _rolled(self, field: Callable[[Any, Any], Any], h: Any, y0: Any, *, pair: bool) -> list[Any]:
+        """The state after a step, and of a pair the estimate of its error."""
         leaves, structure = jax.tree.flatten(y0)
 
         def rate(i: Any, leaves: list[Any]) -> list[Any]:
@@ -112,7 +92,7 @@ class WrittenOutRungeKutta(ExplicitMethod):
 
         @custom_vmap
         def step(h: Any, leaves: list[Any], constants: list[Any]) -> list[Any]:
-            return self._looped(lambda i, leaves: closed(i, leaves, *constants), h, leaves)
+            return self._looped(lambda i, leaves: closed(i, leaves, *constants), h, leaves, pair=pair)
 
         @step.def_vmap
         def _(size: int, batched: Any, h: Any, leaves: list[Any], constants: list[Any]) -> tuple[list[Any], list[bool]]:
@@ -124,10 +104,11 @@ class WrittenOutRungeKutta(ExplicitMethod):
                 jnp.moveaxis(leaf, 0, -1) if moves else jnp.broadcast_to(leaf[..., None], (*leaf.shape, size))
                 for leaf, moves in zip(leaves, batched[1], strict=True)
             ]
-            ended = self._looped(lambda i, leaves: of_lanes(i, leaves, constants), h, leaves, (size,))
+            ended = self._looped(lambda i, leaves: of_lanes(i, leaves, constants), h, leaves, (size,), pair=pair)
             return [jnp.moveaxis(leaf, -1, 0) for leaf in ended], [True] * len(ended)
 
-        return jax.tree.unflatten(structure, step(h, leaves, list(constants)))
+        made = step(h, leaves, list(constants))
+        return [jax.tree.unflatten(structure, made[i : i + len(leaves)]) for i in range(0, len(made), len(leaves))]
 
     def carried_stages(self, field: Callable[[Any, Any], Any], h: Any, y0: Any) -> Any:
         """Compute `rolled_stages` by sums and products of the state's own numbers alone, for extended precision.
@@ -135,7 +116,7 @@ class WrittenOutRungeKutta(ExplicitMethod):
         The loop carries what every later stage has summed up so far, and each stage adds its share to all of them.
         """
         count = self.stages
-        rows = self._tableau()
+        rows = self._tableau(count)
         shares = np.zeros((count, count))
         for i in range(count):
             shares[i, : count - i] = rows[i + 1 :, i]
@@ -148,19 +129,24 @@ class WrittenOutRungeKutta(ExplicitMethod):
 
         return lax.fori_loop(0, count, stage, (y0,) * (count + 1))[0]
 
-    def _tableau(self) -> np.ndarray:
-        """Rows of the stages, the last of the solution, (stages + 1, stages)."""
-        count = self.stages
+    def _tableau(self, count: int) -> np.ndarray:
+        """Rows of so many stages, the last of the solution, (count + 1, count)."""
         tableau = np.zeros((count + 1, count))
         for i, row in enumerate((*self.a[1:count], self.b), 1):
             tableau[i, : min(len(row), count)] = row[:count]
         return tableau
 
     def _looped(
-        self, field: Callable[[Any, list[Any]], list[Any]], h: Any, leaves: list[Any], lanes: tuple[int, ...] = ()
+        self,
+        field: Callable[[Any, list[Any]], list[Any]],
+        h: Any,
+        leaves: list[Any],
+        lanes: tuple[int, ...] = (),
+        *,
+        pair: bool,
     ) -> list[Any]:
-        """The state after a step, numbers and arrays of one lane, or of so many as their last axis."""
-        count = self.stages
+        """What `_rolled` returns, one after the other, numbers and arrays of one lane or of so many as last axis."""
+        count = len(self.b) if pair else self.stages
 
         def joined(leaves: list[Any]) -> Any:
             return jnp.concatenate([leaf.reshape(-1, *lanes) for leaf in leaves])
@@ -168,33 +154,33 @@ class WrittenOutRungeKutta(ExplicitMethod):
         initial = joined(leaves)
         ends = np.cumsum([leaf.size // math.prod(lanes) for leaf in leaves]).tolist()
         room = -(-count // _TERMS) * _TERMS
-        rows = jnp.asarray(np.pad(self._tableau(), ((0, 0), (0, room - count))), initial.dtype)
+        tableau = np.vstack([self._tableau(count), *([self.b_error] if pair else [])])
+        rows = jnp.asarray(np.pad(tableau, ((0, 0), (0, room - count))), initial.dtype)
 
-        def state(i: Any, rates: Any) -> list[Any]:
+        def apart(joint: Any) -> list[Any]:
+            parts = zip([0, *ends], ends, leaves, strict=False)
+            return [joint[start:end].reshape(leaf.shape) for start, end, leaf in parts]
+
+        def total(i: Any, stages: Any, rates: Any) -> Any:
+            """Row i of the tableau times the rates of so many stages."""
             known = rates.reshape(room, -1) if math.prod(lanes) <= _FEW_LANES else rates
 
             def term(j: Any) -> Any:
                 return rows[i, j] * known[j]
 
-            def more(block: Any, total: Any) -> Any:
-                return sum((term(block * _TERMS + j) for j in range(_TERMS)), total)
+            def more(block: Any, before: Any) -> Any:
+                return sum((term(block * _TERMS + j) for j in range(_TERMS)), before)
 
             first = sum((term(j) for j in range(1, _TERMS)), term(0))
-            moved = initial + lax.fori_loop(1, (i + _TERMS - 1) // _TERMS, more, first).reshape(initial.shape)
-            parts = zip([0, *ends], ends, leaves, strict=False)
-            return [moved[start:end].reshape(leaf.shape) for start, end, leaf in parts]
+            return lax.fori_loop(1, (stages + _TERMS - 1) // _TERMS, more, first).reshape(initial.shape)
 
         def stage(i: Any, rates: Any) -> Any:
-            moved = joined(field(i, state(i, rates))) * (h[None] if jnp.ndim(h) else h)
+            moved = joined(field(i, apart(initial + total(i, i, rates)))) * (h[None] if jnp.ndim(h) else h)
             return lax.dynamic_update_slice_in_dim(rates, moved[None], i, 0)
 
-        none = jnp.zeros((room, *initial.shape), initial.dtype)
-        return state(count, lax.fori_loop(0, count, stage, none))
-
-
-def in_loop(solver: Any) -> Any:
-    """A solver with its stages in a loop, where it can have them so, which needs the least compiling."""
-    return replace(solver, rolled=True) if isinstance(solver, WrittenOutRungeKutta) else solver
+        rates = lax.fori_loop(0, count, stage, jnp.zeros((room, *initial.shape), initial.dtype))
+        after = apart(initial + total(count, count, rates))
+        return after + apart(total(count + 1, count, rates)) if pair else after
 
 
 @cache

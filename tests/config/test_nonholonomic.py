@@ -14,7 +14,7 @@ import jaxnh
 from jaxnh.config.yaml_source import read
 from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import dopri8
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.user_file import UserFile
 from tests.helpers.cases import some_slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import jax
@@ -15,12 +16,13 @@ import jaxnh
 from jaxnh.analyses.exponents.tangent_growth import advance, average, begin
 from jaxnh.engine.accuracy.calibration import Plan
 from jaxnh.engine.accuracy.cost_model import is_short, lanes_a_tile, quickest_form
+from jaxnh.engine.compute import numerical_plan, solver_plan
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.plan import in_quickest_form
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import iterate
-from jaxnh.solvers import SOLVERS, SPLITTINGS, verner9
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers import ADAPTIVE, SOLVERS, SPLITTINGS, verner9
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.lorenz import known_flow
@@ -54,6 +56,17 @@ def test_few_steps_are_in_a_loop_and_many_are_written_out():
     assert quickest_form(verner9, FLOW.system, 1e4).rolled
     assert not quickest_form(verner9, FLOW.system, 1e9).rolled
     assert quickest_form(SPLITTINGS["processed6"], FLOW.system, 1e4) is SPLITTINGS["processed6"]
+
+
+def test_explicit_steps_of_a_lane_s_own_have_both_forms():
+    """A plan keeps the form; of a Rosenbrock method there is one."""
+    own = ADAPTIVE["adaptive_dopri8"]
+    looped, written = (quickest_form(own, FLOW.system, lane_steps) for lane_steps in (1e4, 1e9))
+    assert (looped.rolled, written.rolled) == (True, None)
+    for solver in (looped, written):
+        assert solver_plan(numerical_plan(Plan(solver, 20, False, 1e-6), {})).solver == solver
+    assert in_loop(own).with_least(3) == dataclasses.replace(looped, least=3)
+    assert in_loop(ADAPTIVE["rodas5p"]) is quickest_form(ADAPTIVE["rodas5p"], FLOW.system, 1e4) is ADAPTIVE["rodas5p"]
 
 
 def test_solvers_are_compared_where_a_run_is_worth_the_compiling():

@@ -9,7 +9,7 @@ import pytest
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.mechanics import ellipsoid, rolling_body
 from jaxnh.solvers import SOLVERS, SPLITTINGS, tsit5
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM, CALM_B, CALM_STATES, ROUNDOFF, one_lane

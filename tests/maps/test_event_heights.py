@@ -10,7 +10,7 @@ import pytest
 from jaxnh.maps.jumping import jumping_strobe
 from jaxnh.maps.protocol import Tangent
 from jaxnh.solvers import verner9
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 

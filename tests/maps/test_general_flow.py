@@ -21,8 +21,8 @@ from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.step_grids import step_grid
 from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers import RUNGE_KUTTA, SOLVERS, dopri8, tsit5
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.solvers.diffrax_solvers import DiffraxSteps
-from jaxnh.solvers.runge_kutta import in_loop
 from jaxnh.systems.first_order import first_order
 from jaxnh.systems.free_particle import definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian

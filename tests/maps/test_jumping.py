@@ -18,7 +18,7 @@ from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.jumping import jumping_strobe
 from jaxnh.maps.protocol import Tangent
 from jaxnh.solvers import dopri8, nystrom8, tsit5, verner9
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.status import CHATTERING

@@ -13,7 +13,7 @@ from jaxnh.maps.build import make_parts, make_return_map
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Tangent
 from jaxnh.solvers import dopri8, tsit5
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO
 from tests.helpers.cases import some_slow

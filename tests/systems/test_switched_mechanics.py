@@ -12,7 +12,7 @@ from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import dopri8, tsit5
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.corners import forces_with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.switched_mechanics import switched_mechanics

@@ -13,13 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding, order_on_motion
-from jaxnh.engine.accuracy.reference import (
-    MOST_KICKS,
-    NO_MATTER,
-    REFERENCE_STEPS,
-    refine_reference,
-    roundings_of_sums,
-)
+from jaxnh.engine.accuracy.own_steps import SPLIT, TooDearError, agree, has_own_steps, spread_over_unit, too_dear
+from jaxnh.engine.accuracy.reference import MOST_KICKS, NO_MATTER, refine_reference, roundings_of_sums
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples, differences, gaps_between
 from jaxnh.engine.accuracy.samples import are_lost_by, take_samples
 from jaxnh.engine.accuracy.sizes import sizes_by_name
@@ -31,7 +26,6 @@ from jaxnh.maps.section import flow_of
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
-from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
@@ -47,10 +41,8 @@ MOST_REHEARSED = 1 << 13
 
 _ROUNDS = 8
 _DEAR = 1 << 14  # evaluations of the field a period: those of fewer are not worth a look at other steps
-_MARGIN = 2.0  # times as many evaluations of the field as own steps need are paid for common ones, which are simpler
-_NEAR_TARGET = 0.1  # times the target: errors of single steps add up
 _REHEARSING = 32  # lanes of which steps are to lose none
-_SPLIT, _MOST_PARTS = 4, 1024  # parts of a unit of time that is too long for its rounding
+_MOST_PARTS = 1024  # of a unit of time that is too long for its rounding
 _PRECISE = {
     "float64": 1e-6,
     "extended": 1e-6,
@@ -86,10 +78,6 @@ class Plan(NamedTuple):
     def kicks(self) -> int:
         """Evaluations of the field a period by a Runge–Kutta method; 0 by others, as that of tables."""
         return self.solver.stages * self.steps if isinstance(self.solver, WrittenOutRungeKutta) else 0
-
-
-class TooDearError(LostLaneError):
-    """Steps that all lanes share take far more evaluations of the field than those of a lane's own."""
 
 
 class Calibration:
@@ -138,12 +126,13 @@ class Calibration:
             return
         try:
             self._measure(maps)
-        except LostLaneError as lost:
-            own = self._take_own_steps(maps)
-            if isinstance(lost, TooDearError):
-                if not own or self.floor > self._target:
-                    self._measure(maps, at_any_price=True)
-            elif not own:
+        except TooDearError as dear:
+            ways = [False] if dear.stiff else [True, False]
+            own = any(self._take_own_steps(maps, explicit=way, kicks=dear.kicks) for way in ways)
+            if not own or self.floor > self._target:
+                self._measure(maps, at_any_price=True)
+        except LostLaneError:
+            if not self._take_own_steps(maps):
                 raise
 
     def _measure(self, maps: SampleMaps, candidates: Sequence[Solver] = (), *, at_any_price: bool = False) -> None:
@@ -167,26 +156,33 @@ class Calibration:
         while self._reference.unresolved and self._split_unit():
             pass
 
-    def _take_own_steps(self, maps: SampleMaps) -> bool:
-        """Measure everything anew with steps of a lane's own, as stiff flows and corners need them.
+    def _take_own_steps(self, maps: SampleMaps, *, explicit: bool = False, kicks: int = 0) -> bool:
+        """Measure everything anew with steps of a lane's own, implicit ones as stiff flows and corners need them.
+
+        Where chaos enlarges rounding beyond the target in a unit of time, parts of it are tried as long as they help.
+
+        Args:
+            kicks: evaluations of the field a period with which common steps were too dear, and do well enough to tell
+                whether own ones have the same motions.
 
         Returns:
             Whether it helps: not where that is tried already, or is for no flow of this kind.
         """
-        if not self._has_own_steps(maps):
+        if not has_own_steps(maps, self._precision):
             return False
         maps.tell("each lane takes steps of its own: those that all lanes share do not do, or take longer")
         try:
-            self._measure(maps.with_own_steps())
+            self._measure(maps.with_own_steps(explicit=explicit))
+            found = self._maps, self._reference, self._samples, self._sizes
+            if kicks and not agree(*found, maps, kicks, self._target):
+                return False
+            before = math.inf
+            while 0.0 < self._target < self.floor <= 0.5 * before:
+                before = self.floor
+                self._split_unit()
         except AccuracyError:
             return False
         return True
-
-    def _has_own_steps(self, maps: SampleMaps) -> bool:
-        """Return whether there is a way with steps of a lane's own, and it is another one."""
-        flow = maps.flow
-        jumps = isinstance(flow, PiecewiseSmooth) and flow.needs_events  # which those steps know nothing of
-        return not (maps.adaptive or maps.scheme.smooth or jumps or self._precision != "float64")
 
     def _pay(self, kicks: int, samples: Samples, worst: int = -1) -> None:
         """Look whether so many evaluations of the field a period, of steps that all lanes share, are worth it.
@@ -197,11 +193,11 @@ class Calibration:
             TooDearError: each lane's own steps do with far fewer.
         """
         free = self._at_any_price or not self._target or self._maps.parts > 1
-        if kicks < _DEAR or free or not self._has_own_steps(self._maps):
+        if kicks < _DEAR or free or not has_own_steps(self._maps, self._precision):
             return
-        fewer = self._maps.evaluations_of_own_steps(samples, _NEAR_TARGET * self._target)
-        if kicks > _MARGIN * fewer and not (worst >= 0 and self._jumps_at(worst)):
-            raise TooDearError
+        dear = too_dear(self._maps, samples, kicks, self._target)
+        if dear and not (worst >= 0 and self._jumps_at(worst)):
+            raise dear
 
     def _jumps_at(self, sample: int) -> bool:
         """Return whether the field jumps on a sample's motion: the map's tangents know nothing of a jump."""
@@ -227,8 +223,9 @@ class Calibration:
         while True:
             plan, errors = self._cheapest(target, is_short)
             if plan is not None:
-                parts = self._maps.parts
-                return plan._replace(steps=-(-plan.steps // parts) * parts, parts=parts, sizes=self.sizes)
+                each = 1 if self._maps.adaptive else self._maps.parts  # the steps of a lane's own say how fine they are
+                steps = -(-plan.steps // each) * each
+                return plan._replace(steps=steps, parts=self._maps.parts, sizes=self.sizes)
             why, by_rounding = self._explain(target, errors)
             if by_rounding and self._split_unit():
                 continue
@@ -261,7 +258,7 @@ class Calibration:
         if self.floor > target:
             return None, self._reference.known
         first = self._maps.scheme.reference
-        nearest = Plan(first, REFERENCE_STEPS, False, math.inf)
+        nearest = Plan(first, self._maps.scheme.first_steps, False, math.inf)
         if is_short and isinstance(first, WrittenOutRungeKutta):
             plan = self._best(first, target, MOST_KICKS, compensated=False)
             if plan.error_estimate <= target and is_short(plan):
@@ -304,10 +301,12 @@ class Calibration:
 
         The unit is the user's, and says nothing of how fast the motion enlarges what is small.
         """
-        parts = _SPLIT * self._maps.parts
+        parts = SPLIT * self._maps.parts
         if not self._maps.may_be_cut or parts > _MOST_PARTS:
             return False
         self._maps = self._maps.in_parts(parts)
+        if self._maps.adaptive:
+            self._samples = spread_over_unit(self._maps, self._reference, self._samples)
         self._maps.tell(f"rounding grows beyond the target in a unit of time; errors are of 1/{parts} of it")
         self._measure_reference()
         return True

@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from jaxnh.maps.time_tables import time_split
-from jaxnh.solvers import Solver, WrittenOutRungeKutta
+from jaxnh.solvers import Solver
+from jaxnh.solvers.adaptive import has_loop
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
@@ -46,7 +47,7 @@ def quickest_form(solver: Solver, flow: Flow, lane_steps: float) -> Solver:
     Args:
         lane_steps: steps that all lanes of the job take together, those that fill up tiles too.
     """
-    if not isinstance(solver, WrittenOutRungeKutta) or solver.rolled is not None:
+    if not has_loop(solver) or solver.rolled is not None:
         return solver
     d = flow.chart.dimension
     equations = time_split(flow).size + solver.stages * d / 2.0

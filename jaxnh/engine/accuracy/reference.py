@@ -12,9 +12,6 @@ from jaxtyping import Float
 from jaxnh.engine.accuracy.diagnostics import explain_motion, order_on_motion
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between
 
-REFERENCE_STEPS = 96
-"""Steps of the first reference."""
-
 MOST_KICKS = 1 << 20
 """Evaluations of the field a period, at most."""
 
@@ -69,7 +66,7 @@ def refine_reference(
         pay: called before each refinement with the evaluations of the field a period, the samples, and the number of
             that which errs most; may raise `TooDearError`.
     """
-    solver, steps, near = maps.scheme.reference, REFERENCE_STEPS, max(_ROUNDING, _NEAR * target)
+    solver, steps, near = maps.scheme.reference, maps.scheme.first_steps, max(_ROUNDING, _NEAR * target)
     order, unresolved = 0.0, False  # not known yet
     finest = maps.image(maps.of(solver, steps, compensated=True), samples)
     gaps, least = np.full((2, len(samples.row)), np.inf)
@@ -118,7 +115,7 @@ def roundings_of_sums(
     within a few times of each other, so that one far below what decides is enough (`NO_MATTER`).
     """
     solver = maps.scheme.reference
-    for steps in (max(REFERENCE_STEPS, kicks // (2 * solver.stages)) + i for i in range(_TABLES)):
+    for steps in (max(maps.scheme.first_steps, kicks // (2 * solver.stages)) + i for i in range(_TABLES)):
         plain, exact = (maps.image(maps.of(solver, steps, compensated=c), samples) for c in (False, True))
         gaps = gaps_between(differences(plain, exact), sizes)
         yield largest(np.where(np.isfinite(gaps), gaps, 0.0))

@@ -12,13 +12,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.maps.adaptive import count_trials
-from jaxnh.maps.build import ADAPTIVE_SCHEME, Scheme, make_return_map, scheme_of
+from jaxnh.maps.build import ADAPTIVE_SCHEME, EXPLICIT_ADAPTIVE_SCHEME, Scheme, make_return_map, scheme_of
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Section, System, flow_of
-from jaxnh.solvers import ADAPTIVE, AdaptiveMethod, Solver
-from jaxnh.solvers.runge_kutta import in_loop
+from jaxnh.solvers import AdaptiveMethod, Solver
+from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.state import State, error_components
 
@@ -27,8 +26,6 @@ Image = list[np.ndarray]
 
 _MAPS_KEPT = 64  # of flows, while a number of steps is looked at
 _SILENT_SECONDS = 10.0
-_COUNTED = 16  # samples whose steps are counted where each lane has its own
-_FINEST_COUNTED = 1 << 16  # evaluations of the field of a calm period, at most
 
 
 class Samples(NamedTuple):
@@ -97,30 +94,9 @@ class SampleMaps:
         """Return whether each lane has steps of its own."""
         return isinstance(self.scheme.reference, AdaptiveMethod)
 
-    def with_own_steps(self) -> SampleMaps:
+    def with_own_steps(self, *, explicit: bool = False) -> SampleMaps:
         """Return maps of the same flows over whole units of time, in which each lane has steps of its own."""
-        return SampleMaps(self.flows, self._lanes, scheme=ADAPTIVE_SCHEME)
-
-    def evaluations_of_own_steps(self, samples: Samples, target: float) -> float:
-        """Evaluations of the field a period, or unit of time, with explicit steps of a lane's own that meet a target.
-
-        Of the slowest lanes, for which the others of their tile wait. Explicit ones tell spikes, which few of the steps
-        are for, from stiffness, which binds all of them: there implicit steps of states are longer, and those of
-        tangents are not.
-        """
-        solver = ADAPTIVE["adaptive_tsit5"]
-        picked = samples.take_lanes(np.unique(np.linspace(0, len(samples.row) - 1, _COUNTED).round().astype(int)))
-        if self.sectioned:
-            picked = picked._replace(states=picked.states.state)
-        steps = solver.most_steps(_FINEST_COUNTED)
-        while steps > 1 and solver.tolerance(steps // 2) <= target:
-            steps //= 2
-
-        def shared(row: int) -> tuple[ReturnMap]:
-            return (make_return_map(flow_of(self.flows[row]), solver, steps),)
-
-        trials = np.asarray(self.by_flow(count_trials, shared, picked, 1))
-        return float(np.max(trials)) * solver.stages
+        return SampleMaps(self.flows, self._lanes, scheme=EXPLICIT_ADAPTIVE_SCHEME if explicit else ADAPTIVE_SCHEME)
 
     def tell(self, text: str) -> None:
         """Report the progress of a long calibration."""

@@ -34,7 +34,6 @@ _MOST_SENSITIVE = 512  # of all periods on the way: far more than the share that
 _SEED_ERROR = 1e-3  # sample states need not be accurate, but of this very system
 _MOST_SEED_KICKS = 1 << 16
 _STEPS_A_PART = 64  # of a unit of time: so short that chaos has not yet enlarged everything in it
-_FEWEST_STEPS = 96  # that samples are judged by: what overflows with these is lost
 _GROWS = 5.0  # times that the largest coordinate grows in each quarter of a path: without bound
 _FAR_GROWN = 1e3  # times what it was at the start: no size of a motion
 _RETURNS_FOLLOWED = 2.0  # of the longest seen, beyond the last that steps have come to
@@ -98,7 +97,7 @@ def take_samples(
     lane, time = np.divmod(moving if len(moving) else chosen, sensitive.shape[1])
     taken = jax.tree.map(lambda leaf: leaf[lane], now)
     taken = taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole.states))
-    kept = _without_lost(maps, taken, max(_FEWEST_STEPS, steps))
+    kept = _without_lost(maps, taken, max(maps.scheme.first_steps, steps))
     return SamplePaths(kept, sensitive.size, sizes, now, steps > first)
 
 
