@@ -91,7 +91,7 @@ def escape_rate(
     transient is longer where they are seen to (`_steady_after`).
     """
     begin = _steady_after(periods, escaped, transient)
-    at_risk, escapes = _between(periods, escaped, begin[:, None], np.inf)
+    at_risk, escapes = _exposure(periods, escaped, begin[:, None], np.inf)
     known = at_risk > 0
     total = np.maximum(at_risk, 1)
     share = np.stack([escapes / total, *binomial_interval(escapes, total)])
@@ -108,7 +108,7 @@ def _steady_after(
     while begin < periods.max(initial=0):
         end = begin + length
         (at_risk, escapes), (later, left) = (
-            _between(periods, escaped, *ends) for ends in ((begin, end), (end, np.inf))
+            _exposure(periods, escaped, *ends) for ends in ((begin, end), (end, np.inf))
         )
         share = at_risk / np.maximum(at_risk + later, 1)
         expected, deviation = share * (escapes + left), np.sqrt(share * (1.0 - share) * (escapes + left))
@@ -117,7 +117,7 @@ def _steady_after(
     return steady
 
 
-def _between(
+def _exposure(
     periods: Int[np.ndarray, "lanes starts"], escaped: Bool[np.ndarray, "lanes starts"], begin: Any, end: float
 ) -> tuple[Int[np.ndarray, " lanes"], Int[np.ndarray, " lanes"]]:
     """Return the periods of all motions between two times, and how many leave in them."""
