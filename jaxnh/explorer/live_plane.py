@@ -25,7 +25,7 @@ from jaxnh.plotting.panels import pixels_of
 _LANE_COLUMNS = 5  # columns of a diagram that one of a plane is as wide as
 _ASPECT = 0.75  # rows a column
 _LARGEST_STEP = 16
-_PASS_SECONDS = 1.0  # that a pass is meant to take
+_PASS_SECONDS = 3.0  # that a pass is meant to take: half a second of it, or more, is the same for any number of lanes
 _WORDS = {
     "lyapunov": "largest Lyapunov exponent",
     "period": "least period",

@@ -105,10 +105,10 @@ def _of_lanes(rate: EscapeRate, saddle: Saddle, unit: str) -> dict[str, Entry]:
             variables[f"{name}{ending}"] = variable(LANE, data, f"{side}{words}", **attrs)
     return variables | {
         "escapes": variable(LANE, rate.escapes.astype(np.int32), "number of escapes that the rate is known from"),
-        "counted_after": variable(
+        "counted_from": variable(
             LANE,
-            rate.transient.astype(np.int32),
-            "time after which escapes are counted, from where on their rate is steady",
+            rate.transient.astype(np.int32) + 1,
+            "first of the times at which escapes are counted, as their rate is steady from there on",
             counted_in=unit,
         ),
         "saddle_exponents": variable(

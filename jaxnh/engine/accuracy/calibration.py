@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding, order_on_motion
-from jaxnh.engine.accuracy.own_steps import SPLIT, TooDearError, agree, has_own_steps, spread_over_unit, too_dear
+from jaxnh.engine.accuracy.own_steps import SPLIT, TooDearError, agree, check_price, has_own_steps, spread_over_unit
 from jaxnh.engine.accuracy.reference import MOST_KICKS, NO_MATTER, refine_reference, roundings_of_sums
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples, differences, gaps_between
 from jaxnh.engine.accuracy.samples import are_lost_by, take_samples
@@ -195,9 +195,11 @@ class Calibration:
         free = self._at_any_price or not self._target or self._maps.parts > 1
         if kicks < _DEAR or free or not has_own_steps(self._maps, self._precision):
             return
-        dear = too_dear(self._maps, samples, kicks, self._target)
-        if dear and not (worst >= 0 and self._jumps_at(worst)):
-            raise dear
+        try:
+            check_price(self._maps, samples, kicks, self._target)
+        except TooDearError:
+            if worst < 0 or not self._jumps_at(worst):
+                raise
 
     def _jumps_at(self, sample: int) -> bool:
         """Return whether the field jumps on a sample's motion: the map's tangents know nothing of a jump."""

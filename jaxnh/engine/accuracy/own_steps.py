@@ -56,16 +56,19 @@ def has_own_steps(maps: SampleMaps, precision: str) -> bool:
     return not (maps.adaptive or maps.scheme.smooth or jumps or precision != "float64")
 
 
-def too_dear(maps: SampleMaps, samples: Samples, kicks: int, target: float) -> TooDearError | None:
-    """The error that steps with so many evaluations of the field a period are too dear; None where they are not."""
+def check_price(maps: SampleMaps, samples: Samples, kicks: int, target: float) -> None:
+    """Check that steps with so many evaluations of the field a period are worth it.
+
+    Raises:
+        TooDearError: those of a lane's own take far fewer.
+    """
     solver = ADAPTIVE["adaptive_tsit5"]
     steps = solver.most_steps(_FINEST_COUNTED)
     while steps > 1 and solver.tolerance(steps // 2) <= _NEAR_TARGET * target:
         steps //= 2
     needed = _trials(maps, samples, steps)
-    if kicks <= _MARGIN * needed * solver.stages:
-        return None
-    return TooDearError(kicks, stiff=needed < _BOUND_BY_ACCURACY * _trials(maps, samples, max(1, steps // 2)))
+    if kicks > _MARGIN * needed * solver.stages:
+        raise TooDearError(kicks, stiff=needed < _BOUND_BY_ACCURACY * _trials(maps, samples, max(1, steps // 2)))
 
 
 def agree(
