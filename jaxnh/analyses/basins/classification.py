@@ -143,10 +143,7 @@ def _classify(
     window, state = _average_confirming_window(batch, lanes, records)
     size = np.where(batch.chart.angles, 1.0, np.maximum(window.largest, records.least))
     unit = 2.0 * SETTLED_TO * units(np.array(batch.chart.angles), size)
-    with np.errstate(invalid="ignore"):
-        stays = np.all(np.abs(window.whole - records.means) <= records.unit + unit, axis=1) | (
-            records.known == RESTLESS
-        )
+    stays = _stay(window, records, unit)
     u = points_at(batch, lanes, state)
     count = batch.count
     kind, period = np.full(count, NONE, np.int8), np.zeros(count, np.int64)
@@ -192,6 +189,13 @@ def _classify(
         later[left] = (kind[left] != CHAOTIC) | _comes_to_rest(batch, lanes, ends, size, window)[left]
     judged = Attractors(kind, period, exponent, multiplier, u, means, unit, size, points, near, steps, margin)
     return judged, later, ends
+
+
+def _stay(window: WindowAverages, records: LaneRecords, unit: Float[np.ndarray, "reps F"]) -> Bool[np.ndarray, " reps"]:
+    """Return whether motions have kept their means over the longer window, as restless ones need not."""
+    with np.errstate(invalid="ignore"):
+        kept = np.all(np.abs(window.whole - records.means) <= records.unit + unit, axis=1)
+    return kept | (records.known == RESTLESS)
 
 
 def _comes_to_rest(
