@@ -19,7 +19,8 @@ from jaxnh.systems.straight_pieces import (
     COMPARISONS,
     MOST_SURFACES,
     OPERANDS,
-    equations_within,
+    WITHOUT_SURFACE,
+    floor_of_parity,
     is_real,
     written_in_pieces,
 )
@@ -27,8 +28,8 @@ from jaxnh.systems.surface_probes import probe_surfaces
 from jaxnh.systems.tracing import KnownValue, Program, Slot, Step
 from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL, pointwise
 
-_WITHOUT_SURFACE = ("floor", "ceil", "round", "rem", "argmax", "argmin", "sort", "reduce_max", "reduce_min")
 _CONTINUOUS = ("abs", "max", "min", "clamp", "reduce_max", "reduce_min", "sort")
+_ABOVE_ZERO = 1e-300  # of a factor that is zero on a surface, to keep the sign there
 _PROBES = 16  # random states at a time, for each surface
 _ROUNDS = 4  # of them, where a surface shows no part in the field: of its states a quarter may
 
@@ -36,11 +37,21 @@ Read = Slot | KnownValue
 
 
 class Surface(NamedTuple):
-    """Zeros of the difference of two values, or of an element of it; of one value alone where the other is None."""
+    """Zeros of the difference of two values, or of an element of it; of one value alone where the other is None.
+
+    Attributes:
+        above, below: the values.
+        element: of their arrays.
+        at_integers: whether it is every integer, and not zero alone.
+        floored: numbers whose largest integers from below the difference depends on. It leaps where one of them is an
+            integer, and may leap past zero: such a place is on the surface as well.
+    """
 
     above: Read
     below: Read | None
     element: int
+    at_integers: bool = False
+    floored: tuple[Slot, ...] = ()
 
 
 class PiecewiseField:
@@ -74,9 +85,9 @@ class PiecewiseField:
             self.surfaces, self._sides = [], {}
         self.attracts = self.pushes = np.zeros(0, bool)
         if self.surfaces:
-            part, attracts, pushes = self._probed(parameters)
+            part, attracts, pushes, sides = self._probed(parameters)
             self.attracts, self.pushes = attracts[part], pushes[part]
-            self._drop(~part)
+            self._drop(~part, sides)
 
     def rates(self, p: Mapping[str, Any], y: tuple[Any, ...], t: Any, sides: tuple[Any, ...]) -> Any:
         """Rates by one branch.
@@ -99,34 +110,52 @@ class PiecewiseField:
     def _heights(
         self, surfaces: Sequence[Surface], p: Mapping[str, Any], y: tuple[Any, ...], t: Any
     ) -> tuple[Any, ...]:
-        reads = [read for surface in surfaces for read in surface[:2] if read is not None]
+        reads = [read for surface in surfaces for read in (*surface[:2], *surface.floored) if read is not None]
         values = self._values(p, y, t, self._program.needed(reads))
         return tuple(_height(surface, values) for surface in surfaces)
 
     # ---- surfaces
 
     def _place_all(self) -> None:
-        """Note the surfaces of all equations that change with the motion."""
-        leaping: set[Slot] = set()
+        """Note the surfaces of all equations that change with the motion.
+
+        What comes after floor is constant on an arc where nothing else of it moves. Where something does, the places
+        at which floor leaps are on its surfaces. Surfaces of what jumps in another way are left to the steps.
+        """
+        leaping, glides = set[Slot](), set[Slot](self._program.inputs)
+        floored: dict[Slot, frozenset[Slot]] = {}
         for step in self._program.steps:
             if self._needed.isdisjoint(step.makes) or not self._moves[step.makes[0]]:
                 continue
-            name = step.equation.primitive.name
-            leaps = any(slot in leaping for slot in step.reads if not isinstance(slot, KnownValue))
-            corner = name in OPERANDS and is_real(step.equation)
-            if corner and not leaps:  # surfaces of what jumps itself are left to the steps
-                self._place(step)
-            if leaps or ((corner or name in _WITHOUT_SURFACE) and name not in _CONTINUOUS):
-                leaping |= set(step.makes)
+            name, reads = (
+                step.equation.primitive.name,
+                {each for each in step.reads if not isinstance(each, KnownValue)},
+            )
+            before = frozenset[Slot]().union(*(floored.get(slot, ()) for slot in reads))
+            corner, leaps, moves = name in OPERANDS and is_real(step.equation), reads & leaping, reads & glides
+            floors = corner and name == "floor" and not step.equation.outvars[0].aval.shape
+            placed = corner and moves and not leaps and not (name == "floor" and (before or not floors))
+            if placed:
+                self._place(step, tuple(sorted(before)))
+            if floors and placed:
+                before |= reads
+            elif not floors or moves:
+                glides |= set(step.makes) if moves else set()
+                if leaps or (moves and (corner or name in WITHOUT_SURFACE) and name not in _CONTINUOUS):
+                    leaping |= set(step.makes)
+            floored |= dict.fromkeys(step.makes, before)
 
-    def _place(self, step: Step) -> None:
+    def _place(self, step: Step, floored: tuple[Slot, ...]) -> None:
         """Note the surfaces of an equation."""
         count = int(np.prod(step.equation.outvars[0].aval.shape))
+        integers = step.equation.primitive.name == "floor"
         sides = list[list[tuple[int, float]]]()
         for first, second in OPERANDS[step.equation.primitive.name]:
             above, below = step.reads[first], None if second is None else step.reads[second]
-            above, below, sign = self._ordered(above, below) if count == 1 else (above, below, 1.0)
-            surfaces = [Surface(above, below, element) for element in range(count)]
+            sign = 1.0
+            if count == 1 and not integers:
+                above, below, sign = self._ordered(above, below)
+            surfaces = [Surface(above, below, element, integers, floored) for element in range(count)]
             sides.append([(self._number(surface), sign) for surface in surfaces])
         self._sides[step.makes[0]] = sides
 
@@ -153,7 +182,7 @@ class PiecewiseField:
 
     def _number(self, surface: Surface) -> int:
         """Number of a surface, a new one unless there is an equal one."""
-        key = self._key(surface.above), surface.below and self._key(surface.below), surface.element
+        key = self._key(surface.above), surface.below and self._key(surface.below), *surface[2:4]
         if key not in self._numbers:
             self._numbers[key] = len(self.surfaces)
             self.surfaces.append(surface)
@@ -176,8 +205,10 @@ class PiecewiseField:
             self._program.run(values, lambda step: not depends[step.makes[0]])
         return values
 
-    def _probed(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _probed(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, ...]:
         """Return which surfaces have a part in the field, along which motions may slide, and which push, (surfaces,).
+
+        And the side of each that most states are on: of a surface that is touched alone, all of them.
 
         The field is not one function on both sides of the first; it may push towards the others from both sides.
         Random states and times go to each surface by Newton. A little beside it, on either side, the field is compared
@@ -189,6 +220,7 @@ class PiecewiseField:
         heights = jax.jit(self._heights_with_slopes, compiler_options=COMPILED_FOR_ONE_CALL)
         rates = jax.jit(pointwise(self._rates_with_time), compiler_options=COMPILED_FOR_ONE_CALL)
         reached, *seen = np.zeros((4, count), bool)
+        above = np.zeros(count)
         for _ in range(_ROUNDS):
             shape = (_PROBES, count)
             p = {
@@ -196,6 +228,7 @@ class PiecewiseField:
                 for name, value in parameters.items()
             }
             z = draws.uniform(-2.0, 2.0, (len(self._program.inputs) - len(p), *shape))
+            above += np.sum(np.asarray(heights(p, tuple(z))[0]) >= 0.0, axis=(1, 2)) - 0.5 * z[0].size
             there, *more = probe_surfaces(
                 lambda z, p=p: heights(p, tuple(z)), lambda z, side, p=p: rates(p, z, side), z
             )
@@ -204,7 +237,7 @@ class PiecewiseField:
             if np.all(seen[0] | ~reached):
                 break
         differs, attracts, pushes = seen
-        return differs | ~reached, attracts, pushes
+        return differs | ~reached, attracts, pushes, np.where(above >= 0.0, 1.0, -1.0)
 
     def _heights_with_slopes(self, p: Mapping[str, Any], z: tuple[Any, ...]) -> tuple[Any, list[Any]]:
         """Heights above all surfaces at (y, t) of any shape, and their derivatives in each of these numbers."""
@@ -221,15 +254,15 @@ class PiecewiseField:
     def _rates_with_time(self, p: Mapping[str, Any], z: tuple[Any, ...], sides: tuple[Any, ...]) -> list[Any]:
         return list(self.rates(p, z[:-1], z[-1], sides))
 
-    def _drop(self, unused: np.ndarray) -> None:
-        """Leave surfaces out, and equations all of whose surfaces are left out as they are."""
+    def _drop(self, unused: np.ndarray, sides: np.ndarray) -> None:
+        """Leave surfaces out, on these sides, and equations all of whose surfaces are left out as they are."""
         kept = [k for k in range(len(self.surfaces)) if not unused[k]]
         number = {k: i for i, k in enumerate(kept)}
         self.surfaces = [self.surfaces[k] for k in kept]
         self._sides = {
-            slot: [[(number.get(k, -1), sign) for k, sign in pair] for pair in sides]
-            for slot, sides in self._sides.items()
-            if any(k in number for pair in sides for k, _ in pair)
+            slot: [[(number[k], sign) if k in number else (-1, sign * sides[k]) for k, sign in pair] for pair in pairs]
+            for slot, pairs in self._sides.items()
+            if any(k in number for pair in pairs for k, _ in pair)
         }
 
     # ---- equations
@@ -248,11 +281,11 @@ class PiecewiseField:
         return values
 
     def _branch(self, step: Step, sides: tuple[Any, ...]) -> Callable[..., Any]:
-        """An equation that reads the sides of its surfaces; of a surface left out either side will do."""
+        """An equation that reads the sides of its surfaces, of one left out that of most states."""
         name, shape = step.equation.primitive.name, step.equation.outvars[0].aval.shape
 
         def side(pair: list[tuple[int, float]]) -> Any:
-            each = [sides[k] * sign if k >= 0 else jnp.ones(()) for k, sign in pair]
+            each = [sides[k] * sign if k >= 0 else jnp.asarray(sign) for k, sign in pair]
             return jnp.stack(each).reshape(shape) if shape else each[0]
 
         first, *second = map(side, self._sides[step.makes[0]])
@@ -261,6 +294,7 @@ class PiecewiseField:
         return {
             "abs": lambda x: first * x,
             "sign": lambda x: first,
+            "floor": lambda x: floor_of_parity(x, first),
             "max": lambda a, b: jnp.where(first > 0.0, a, b),
             "min": lambda a, b: jnp.where(first > 0.0, b, a),
             "clamp": lambda low, x, high: jnp.where(second[0] > 0.0, high, jnp.where(first > 0.0, x, low)),
@@ -337,25 +371,15 @@ def forces_with_switches(
     return forces_with_switches
 
 
-def names_without_surface(function: Callable[..., Any], *arguments: Any) -> tuple[str, ...]:
-    """Names of the equations of a function that change without a surface which steps could end on, as floor does.
-
-    Args:
-        function, arguments: as of `Program`.
-    """
-    names = list[str]()
-    for step in Program(function, *arguments).steps:
-        custom = step.equation.primitive.name.startswith("custom_")
-        within = () if custom else tuple(equations_within(step.equation))
-        names += [each.primitive.name for each in within if each.primitive.name in OPERANDS and is_real(each)]
-        names += [each.primitive.name for each in (step.equation, *within) if each.primitive.name in _WITHOUT_SURFACE]
-    return tuple(dict.fromkeys(name.removeprefix("reduce_") for name in names))
-
-
 def _height(surface: Surface, values: Mapping[Slot, Any]) -> Any:
-    above, below, element = surface
+    above, below, *_ = surface
     value = _value(above, values) if below is None else _value(above, values) - _value(below, values)
-    return jnp.ravel(value)[element] if jnp.ndim(value) else value
+    value = jnp.ravel(value)[surface.element] if jnp.ndim(value) else value
+    if surface.at_integers:
+        value = jnp.sin(jnp.pi * value)
+    for slot in surface.floored:
+        value *= jnp.sin(jnp.pi * (values[slot] - jnp.floor(values[slot]))) + _ABOVE_ZERO
+    return value
 
 
 def _value(read: Read, values: Mapping[Slot, Any]) -> Any:

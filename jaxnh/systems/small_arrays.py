@@ -13,13 +13,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun, primitives
 
+from jaxnh.systems.straight_pieces import called_function
+from jaxnh.systems.tracing import INLINED
+
 _MOST_EQUATIONS = 600  # of numbers: with more a program is compiled for longer than arrays take
-_INLINED = ("jit", "pjit", "closed_call", "core_call")
 # fmt: off
 _ELEMENTWISE = frozenset((
     "abs", "acos", "acosh", "add", "and", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "clamp",
@@ -99,7 +102,10 @@ class _Evaluation:
     def _results(self, equation: Any, operands: list[Numbers]) -> list[Numbers]:
         """Results of one equation."""
         name, parameters = equation.primitive.name, equation.params
-        if name in _INLINED:
+        function = called_function(equation)
+        if function in (jnp.remainder, jnp.floor_divide):  # as a whole, so that where it jumps is known (`corners`)
+            return [self._each(equation, operands, equation.outvars[0].aval.shape, function)]
+        if name in INLINED:
             program = parameters.get("jaxpr", parameters.get("call_jaxpr"))
             if not isinstance(program, ClosedJaxpr):
                 program = ClosedJaxpr(program, ())
@@ -120,8 +126,10 @@ class _Evaluation:
             return [_REARRANGED[name](operands, parameters, shape)]
         raise _UnknownEquationError
 
-    def _each(self, equation: Any, operands: list[Numbers], shape: tuple[int, ...]) -> Numbers:
-        """An equation that treats each element by itself."""
+    def _each(
+        self, equation: Any, operands: list[Numbers], shape: tuple[int, ...], function: Callable[..., Any] | None = None
+    ) -> Numbers:
+        """An equation that treats each element by itself, or a function that it calls."""
         self._count(math.prod(shape))
         types = [atom.aval.dtype for atom in equation.invars]
         result = np.empty(shape, object)
@@ -133,6 +141,8 @@ class _Evaluation:
             ]
             if equation.primitive is primitives.pow_p and _is_whole(values[1]):
                 result[index] = lax.integer_pow(values[0], int(values[1]))
+            elif function:
+                result[index] = function(*values)
             else:
                 result[index] = equation.primitive.bind(*values, **equation.params)
         return result

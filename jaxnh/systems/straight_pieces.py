@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -11,18 +11,47 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend import core
 
+from jaxnh.systems.tracing import INLINED, Program
+
 COMPARISONS = {"gt": 1.0, "ge": 1.0, "lt": -1.0, "le": -1.0}
 """Comparisons, and the side of a surface on which each is true."""
 
 OPERANDS = {"abs": ((0, None),), "sign": ((0, None),), "max": ((0, 1),), "min": ((0, 1),), "clamp": ((1, 0), (1, 2))}
-OPERANDS |= dict.fromkeys(COMPARISONS, ((0, 1),))
-"""Places of the two operands of each surface of an equation; None: zero."""
+OPERANDS |= dict.fromkeys(COMPARISONS, ((0, 1),)) | {"floor": ((0, None),)}
+"""Places of the two operands of each surface of an equation; None: zero, of floor every integer."""
+
+WITHOUT_SURFACE = ("floor", "ceil", "round", "rem", "argmax", "argmin", "sort", "reduce_max", "reduce_min")
+"""Names of equations that jump, or have corners, and that no surface is for as they are."""
 
 MOST_SURFACES = 64
 """Most surfaces of a field: each is looked at after every step."""
 
 _EXTREMES = {"reduce_max": lax.max, "reduce_min": lax.min}
+_BY_FLOOR: dict[str, Callable[..., Any]] = {
+    "ceil": lambda x: -lax.floor(-x),
+    "round": lambda x: lax.floor(x + 0.5),
+    "rem": lambda x, y: x - y * lax.sign(x / y) * lax.floor(lax.abs(x / y)),
+}
 _LINEAR = ("add", "sub", "mul", "neg", "select_n", "convert_element_type", "broadcast_in_dim", "jit", "pjit")
+
+
+def _interpolated(x: Any, places: Any, values: Any) -> Any:
+    """The straight pieces between points, and jumps where two of them are at one place, as a sum over neighbours."""
+    total = values[0]
+    for k in range(len(places) - 1):
+        width, rise = places[k + 1] - places[k], values[k + 1] - values[k]
+        jump = jnp.where(x >= places[k + 1], rise, 0.0)
+        slope = rise / jnp.where(width == 0.0, 1.0, width)
+        total += jnp.where(width == 0.0, jump, slope * (lax.clamp(places[k], x, places[k + 1]) - places[k]))
+    return total
+
+
+_COMPILED: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
+    "remainder": (jnp.remainder, lambda x, y: x - y * lax.floor(x / y)),
+    "floor_divide": (jnp.floor_divide, lambda x, y: lax.floor(x / y)),
+    "_interp": (jnp.interp, _interpolated),
+}
+"""Functions of `jax.numpy` by the name that a program calls them by, and what they are in pieces."""
 
 
 def is_real(equation: Any) -> bool:
@@ -41,20 +70,79 @@ def equations_within(equation: Any) -> Iterator[Any]:
 
 
 def written_in_pieces(equation: Any) -> Any:
-    """The program in place of an equation of straight pieces, as `jax.nn.relu`, or of an extreme of few numbers."""
-    if equation.primitive.name in _EXTREMES:
-        number, made = equation.invars[0].aval, equation.outvars[0].aval
-        if not 0 < number.size - made.size <= MOST_SURFACES or not is_real(equation):
-            return None
-        axes, extreme = equation.params["axes"], _EXTREMES[equation.primitive.name]
+    """The program in place of an equation of straight pieces, as `jax.nn.relu`, or of an extreme of few numbers.
 
-        def by_pairs(numbers: Any) -> Any:
-            first = jnp.moveaxis(numbers, axes, range(len(axes))).reshape(-1, *made.shape)
-            return functools.reduce(extreme, list(first))
-
-        return jax.make_jaxpr(by_pairs)(number)
-    if not equation.primitive.name.startswith("custom_jvp"):
+    What jumps at evenly spaced values, as `jnp.mod`, is written by floor; `jnp.interp` of few points by its pieces.
+    """
+    name = equation.primitive.name
+    if name in _EXTREMES:
+        return _extreme_by_pairs(equation)
+    if is_real(equation) and (function := _in_pieces(equation)):
+        return jax.make_jaxpr(function)(*(atom.aval for atom in equation.invars))
+    if not name.startswith("custom_jvp"):
         return None
     names = {each.primitive.name for each in equations_within(equation)}
     linear = not names.isdisjoint(OPERANDS) and names <= {*OPERANDS, *_LINEAR}
     return equation.params["call_jaxpr"] if linear else None
+
+
+def _extreme_by_pairs(equation: Any) -> Any:
+    """The program of the largest or smallest of few numbers, two at a time; None of many."""
+    number, made = equation.invars[0].aval, equation.outvars[0].aval
+    if not 0 < number.size - made.size <= MOST_SURFACES or not is_real(equation):
+        return None
+    axes, extreme = equation.params["axes"], _EXTREMES[equation.primitive.name]
+
+    def by_pairs(numbers: Any) -> Any:
+        first = jnp.moveaxis(numbers, axes, range(len(axes))).reshape(-1, *made.shape)
+        return functools.reduce(extreme, list(first))
+
+    return jax.make_jaxpr(by_pairs)(number)
+
+
+def called_function(equation: Any) -> Callable[..., Any] | None:
+    """The function of `jax.numpy` that an equation calls, of those that are written in pieces; None of others."""
+    name = equation.params["name"] if equation.primitive.name in INLINED else ""
+    if name not in _COMPILED:
+        return None
+    function = _COMPILED[name][0]
+    (known,) = jax.make_jaxpr(function)(*(atom.aval for atom in equation.invars)).eqns
+    return function if str(known.params["jaxpr"]) == str(equation.params["jaxpr"]) else None
+
+
+def _in_pieces(equation: Any) -> Callable[..., Any] | None:
+    """What an equation of real numbers is by floor, or by the pieces that it interpolates with; None of others."""
+    if called_function(equation) is None:
+        return _BY_FLOOR.get(equation.primitive.name)
+    if equation.params["name"] == "_interp":
+        x, places = (atom.aval for atom in equation.invars[:2])
+        if x.shape or places.size > MOST_SURFACES:
+            return None
+    return _COMPILED[equation.params["name"]][1]
+
+
+def floor_of_parity(x: Any, side: Any) -> Any:
+    """The largest integer from below, or beyond the next integer that before it: even above the surface, else odd."""
+    odd = jnp.where(side > 0.0, 0.0, 1.0)
+    return 2.0 * lax.round(0.5 * (x - 0.5 - odd), lax.RoundingMethod.AWAY_FROM_ZERO) + odd
+
+
+def names_without_surface(function: Callable[..., Any], *arguments: Any) -> tuple[str, ...]:
+    """Names of the equations of a function that change without a surface which steps could end on, as floor does.
+
+    Args:
+        function, arguments: as of `Program`.
+    """
+    names = list[str]()
+    for step in Program(function, *arguments).steps:
+        custom = step.equation.primitive.name.startswith("custom_")
+        within = () if custom else tuple(equations_within(step.equation))
+        names += [each.primitive.name for each in within if each.primitive.name in OPERANDS and is_real(each)]
+        names += [each.primitive.name for each in (step.equation, *within) if _has_no_surface(each)]
+    return tuple(dict.fromkeys(name.removeprefix("reduce_") for name in names))
+
+
+def _has_no_surface(equation: Any) -> bool:
+    """Return whether an equation jumps, or has corners, that no surface is for, as written by a user."""
+    parity = equation.params.get("rounding_method") == lax.RoundingMethod.AWAY_FROM_ZERO
+    return equation.primitive.name in WITHOUT_SURFACE and not parity

@@ -18,7 +18,8 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend import core
 
-_INLINED = ("jit", "pjit", "closed_call", "core_call")
+INLINED = ("jit", "pjit", "closed_call", "core_call")
+"""Names of equations that call a program."""
 
 _NO_DEVICES = jax.sharding.AbstractMesh((), ())
 
@@ -169,7 +170,9 @@ class Program:
 
         for equation in jaxpr.eqns:
             reads = tuple(read(atom) for atom in equation.invars)
-            inner = equation.params["jaxpr"] if equation.primitive.name in _INLINED else self._written_out(equation)
+            inner = self._written_out(equation)
+            if inner is None and equation.primitive.name in INLINED:
+                inner = equation.params["jaxpr"]
             if inner is not None:
                 made: Sequence[Slot | KnownValue] = self._inline(inner.jaxpr, inner.consts, reads)
             else:

@@ -56,8 +56,10 @@ def test_a_calibration_that_takes_long_says_how_far_it_is(tmp_path, monkeypatch)
     (tmp_path / "own.py").write_text(
         "import jax.numpy as jnp\n"
         "def system(rate=1.0):\n"
-        "    return dict(rhs=lambda y, t: (y[1], -y[0] - 0.3 * jnp.floor(y[1]) + 2 * jnp.cos(t)), coordinates=('x', 'v'),\n"
-        "                period=2 * jnp.pi)\n"
+        "    def rhs(y, t):\n"
+        "        stair = jnp.argmin((y[1] - jnp.arange(-4.0, 5.0)) ** 2).astype(float)\n"
+        "        return y[1], -y[0] - 0.3 * stair + 2 * jnp.cos(t)\n"
+        "    return dict(rhs=rhs, coordinates=('x', 'v'), period=2 * jnp.pi)\n"
     )
     (tmp_path / "own.yaml").write_text(CONFIG)
     run = run_here("own.yaml", cwd=tmp_path)

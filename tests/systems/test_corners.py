@@ -10,7 +10,7 @@ import pytest
 import jaxnh
 from jaxnh.maps.build import make_return_map
 from jaxnh.solvers import dopri8, verner9
-from jaxnh.systems.corners import names_without_surface, with_switches
+from jaxnh.systems.corners import with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.piecewise_circuits import CIRCUITS
 from tests.helpers.one_lane import state_after
@@ -56,6 +56,14 @@ SURFACES = {
         7,
     ),
     "extremes of rows": (lambda y, t, a: tuple(jnp.min(jnp.outer(jnp.stack(y), jnp.array([1.0, 2.0])), axis=1)), 3),
+    "touched by one end": (
+        lambda y, t, a: (jnp.clip(-(y[0] ** 2), -a, 0.0) + jnp.clip(y[1] ** 2, 0.0, a), 0.0, 0.0),
+        2,
+    ),
+    "floor": (lambda y, t, a: (jnp.floor(y[0]) + jnp.mod(y[1], a) + jnp.round(y[2] - 0.1), t // 0.7, t % 3.0), 5),
+    "decided by what leaps": (lambda y, t, a: (jnp.where(jnp.mod(y[0] - t, 2.0) < a, y[1], 0.0), 0.0, 0.0), 1),
+    "decided by floor alone": (lambda y, t, a: (jnp.where(jnp.floor(y[0]) % 3 < 1, y[1], 0.0), 0.0, 0.0), 1),
+    "a table": (lambda y, t, a: (jnp.interp(y[0], jnp.arange(4.0) - 1.5, jnp.arange(4.0) ** 2), 0.0, 0.0), 4),
     "within another": (lambda y, t, a: (jnp.abs(jnp.abs(y[0]) - a), 0.0, 0.0), 2),
     "within a condition": (lambda y, t, a: (jnp.where(jnp.abs(y[0]) < a, y[1], 0.0), 0.0, 0.0), 1),
     "on what jumps": (lambda y, t, a: (jnp.abs(step(y[0]) * y[1]), step(y[0]), 0.0), 1),
@@ -131,15 +139,6 @@ def test_switches_by_hand_are_all_there_are():
         return {"rhs": lambda y, t: (jnp.abs(y[0]),), "coordinates": ("x",), "switches": ()}
 
     assert with_switches(define, {}) is define
-
-
-def test_names_of_what_has_no_surface():
-    def rhs(y):
-        inner = jax.lax.fori_loop(0, 3, lambda i, x: x + jnp.abs(y[1]), 0.0)
-        return jnp.floor(y[0]) + jnp.mod(y[1], 1.0) + inner, jnp.max(jnp.stack(y)), jax.nn.softplus(y[0]), jnp.abs(y[0])
-
-    assert set(names_without_surface(rhs, Y)) == {"floor", "rem", "abs", "max"}
-    assert names_without_surface(lambda y: (jnp.abs(y[0]), jnp.hypot(y[1], y[2])), Y) == ()
 
 
 ATTRACTING = {

@@ -1,7 +1,8 @@
 """Jumps and corners of a field on a motion, located by halving the steps of it in which the field changes most.
 
-Of a smooth field what changes over a step halves with it, and in thirty halvings becomes a billionth. A jump of the
-field, or of its derivative along the motion at a corner, stays in one of the halves.
+Of a smooth field what its derivative changes by over a step halves with it, and in thirty halvings becomes a billionth;
+what the field changes by but for its derivatives at both ends becomes less still. A jump of the field, or of its
+derivative along the motion at a corner, stays in one of the halves.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from jaxtyping import Array, Float
 
 from jaxnh.config.messages import join_words
 from jaxnh.engine.accuracy.sample_maps import image_of
-from jaxnh.systems.corners import names_without_surface
 from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.state import State
+from jaxnh.systems.straight_pieces import names_without_surface
 from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 
 _STEPS = 16  # of a motion in which the field changes most, that are halved
@@ -82,7 +83,7 @@ def find_kink(
         largest = np.nanmax(np.maximum(np.abs(low[:, order]), np.abs(high[:, order])), axis=0)
         measure = np.where(largest > 0.0, largest, np.inf)
         with np.errstate(invalid="ignore", over="ignore"):  # where the field overflows, nothing is said
-            step, share = _lasting_change(field, ends, low[:, order], high[:, order], measure, order)
+            step, share = _lasting_change(field, ends, low, high, measure, order)
         if step is not None:
             at = jax.tree.map(lambda a, b, i=step, s=share: a[i] + s * (b[i] - a[i]), begin, end)
             place = ", ".join(
@@ -105,23 +106,28 @@ def find_kink(
 def _lasting_change(
     field: Callable[..., Any],
     ends: tuple[Any, ...],
-    low: Float[np.ndarray, "steps d"],
-    high: Float[np.ndarray, "steps d"],
+    low: Float[np.ndarray, "steps 2 d"],
+    high: Float[np.ndarray, "steps 2 d"],
     measure: Float[np.ndarray, " d"],
     order: int,
 ) -> tuple[int | None, float]:
     """The step whose change lasts as it is halved, and the share of it where that is; none where it does of no step."""
-    changes = np.nan_to_num(np.max(np.abs(high - low) / measure, axis=1), posinf=0.0)
+
+    def change(low: np.ndarray, high: np.ndarray, width: float) -> Float[np.ndarray, " some"]:
+        """Of the field but for its derivatives at both ends, or of its derivative, in units of the largest."""
+        smooth = 0.5 * width * (low[:, 1] + high[:, 1]) if order == 0 else 0.0
+        return np.max(np.abs(high[:, order] - low[:, order] - smooth) / measure, axis=1)
+
+    changes = np.nan_to_num(change(low, high, 1.0), posinf=0.0)
     picked = np.sort(np.argsort(-changes, kind="stable")[:_STEPS])
     few = jax.tree.map(lambda leaf: leaf[picked], ends)
     low, high, begin, width = low[picked], high[picked], np.zeros(len(picked)), 1.0
     for _ in range(_HALVINGS):
         width *= 0.5
-        middle = np.asarray(field(*few, begin + width))[:, order]
-        first, second = (np.max(np.abs(change) / measure, axis=1) for change in (middle - low, high - middle))
-        later = second > first
-        low, high = np.where(later[:, None], middle, low), np.where(later[:, None], high, middle)
+        middle = np.asarray(field(*few, begin + width))
+        later = change(middle, high, width) > change(low, middle, width)
+        low, high = (np.where(later[:, None, None], *pair) for pair in ((middle, low), (high, middle)))
         begin = np.where(later, begin + width, begin)
-    left = np.max(np.abs(high - low) / measure, axis=1)
+    left = change(low, high, width)
     lasting = (changes[picked] > _NOTHING) & (left > _STAYS * changes[picked])
     return (int(picked[np.argmax(lasting)]), float(begin[np.argmax(lasting)])) if np.any(lasting) else (None, 0.0)
