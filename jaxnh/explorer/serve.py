@@ -154,7 +154,7 @@ def _listen(address: str, port: int) -> tuple[str, int]:
         return address, trial.getsockname()[1]
 
 
-def run(server: Server, worker: Worker) -> None:
+def run(server: Server) -> None:
     """Serve until SIGINT or SIGTERM."""
     loop: IOLoop = server.io_loop
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -163,5 +163,4 @@ def run(server: Server, worker: Worker) -> None:
     try:
         loop.start()
     finally:
-        worker.stop()
         server.stop()
