@@ -33,6 +33,7 @@ _BY_FLOOR: dict[str, Callable[..., Any]] = {
     "rem": lambda x, y: x - y * lax.sign(x / y) * lax.floor(lax.abs(x / y)),
 }
 _LINEAR = ("add", "sub", "mul", "neg", "select_n", "convert_element_type", "broadcast_in_dim", "jit", "pjit")
+_TABLE = "_interp"
 
 
 def _interpolated(x: Any, places: Any, values: Any) -> Any:
@@ -46,12 +47,28 @@ def _interpolated(x: Any, places: Any, values: Any) -> Any:
     return total
 
 
-_COMPILED: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
-    "remainder": (jnp.remainder, lambda x, y: x - y * lax.floor(x / y)),
-    "floor_divide": (jnp.floor_divide, lambda x, y: lax.floor(x / y)),
-    "_interp": (jnp.interp, _interpolated),
+def _interpolated_within(x: Any, places: Any, values: Any, left: Any, right: Any) -> Any:
+    """The same with values of its own beyond both ends."""
+    beyond = jnp.where(x > places[-1], right, _interpolated(x, places, values))
+    return jnp.where(x < places[0], left, beyond)
+
+
+def _interpolated_again(x: Any, places: Any, values: Any, period: Any) -> Any:
+    """The same over and over."""
+    period = jnp.abs(period)
+    places, values = lax.sort_key_val(places % period, values)
+    places = jnp.concatenate([places[-1:] - period, places, places[:1] + period])
+    return _interpolated(x % period, places, jnp.concatenate([values[-1:], values, values[:1]]))
+
+
+_COMPILED: dict[tuple[str, int], tuple[Callable[..., Any], Callable[..., Any]]] = {
+    ("remainder", 2): (jnp.remainder, lambda x, y: x - y * lax.floor(x / y)),
+    ("floor_divide", 2): (jnp.floor_divide, lambda x, y: lax.floor(x / y)),
+    (_TABLE, 3): (jnp.interp, _interpolated),
+    (_TABLE, 4): (lambda x, places, values, period: jnp.interp(x, places, values, period=period), _interpolated_again),
+    (_TABLE, 5): (jnp.interp, _interpolated_within),
 }
-"""Functions of `jax.numpy` by the name that a program calls them by, and what they are in pieces."""
+"""Functions of `jax.numpy` by the name that a program calls them by and their operands, and what they are in pieces."""
 
 
 def is_real(equation: Any) -> bool:
@@ -102,8 +119,7 @@ def _extreme_by_pairs(equation: Any) -> Any:
 
 def called_function(equation: Any) -> Callable[..., Any] | None:
     """The function of `jax.numpy` that an equation calls, of those that are written in pieces; None of others."""
-    name = equation.params["name"] if equation.primitive.name in INLINED else ""
-    if name not in _COMPILED:
+    if equation.primitive.name not in INLINED or (name := _name_of(equation)) not in _COMPILED:
         return None
     function = _COMPILED[name][0]
     (known,) = jax.make_jaxpr(function)(*(atom.aval for atom in equation.invars)).eqns
@@ -114,11 +130,16 @@ def _in_pieces(equation: Any) -> Callable[..., Any] | None:
     """What an equation of real numbers is by floor, or by the pieces that it interpolates with; None of others."""
     if called_function(equation) is None:
         return _BY_FLOOR.get(equation.primitive.name)
-    if equation.params["name"] == "_interp":
+    name = _name_of(equation)
+    if name[0] == _TABLE:
         x, places = (atom.aval for atom in equation.invars[:2])
-        if x.shape or places.size > MOST_SURFACES:
+        if x.shape or places.size + 2 > MOST_SURFACES:
             return None
-    return _COMPILED[equation.params["name"]][1]
+    return _COMPILED[name][1]
+
+
+def _name_of(equation: Any) -> tuple[str, int]:
+    return equation.params["name"], len(equation.invars)
 
 
 def floor_of_parity(x: Any, side: Any) -> Any:

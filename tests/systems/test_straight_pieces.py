@@ -31,11 +31,15 @@ FORCES = {
     "every second one": (lambda m, t: m.where((m.mod(t, 1.0) < 0.4) & (t // 1.0 % 2 == 0), 3.0, 0.0), 2),
     "stairs": (lambda m, t: m.floor(t) - 2.0 * m.ceil(t / 1.7) + m.round(0.8 * t), 3),
     "a remainder with a sign": (lambda m, t: m.fmod(1.5 - t, 1.1), 1),
+    "a table that repeats": (lambda m, t: m.interp(t, PLACES[1:4:2] - 0.3, HEIGHTS[1:4:2], period=2.0), 3),
+    "a table with ends": (lambda m, t: m.interp(t, PLACES[3:] + 0.5, HEIGHTS[3:], 2.0, -1.0), 2),
     "a table": (lambda m, t: m.interp(m.mod(t, 2.0), PLACES, HEIGHTS), 3),
 }
 LEAPS = np.unique(np.concatenate([k * np.array([1.0, 1.3, 1.7, 2.0, 1.1]) for k in range(9)]))
 EVENTS = np.concatenate([LEAPS, LEAPS + 0.3, LEAPS + 0.4, LEAPS + 0.7, LEAPS + 0.83, LEAPS + 1.17, LEAPS + 1.6])
-EVENTS = np.unique(np.concatenate([EVENTS, (np.arange(9) + 0.5) / 0.8, 1.5 + LEAPS]).round(12))
+EVENTS = np.unique(
+    np.concatenate([EVENTS, LEAPS + 0.5, LEAPS + 2.1, (np.arange(9) + 0.5) / 0.8, 1.5 + LEAPS]).round(12)
+)
 END = 4.5
 
 
