@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.scipy.linalg import lu_factor, lu_solve
+from jaxtyping import Array
 
 from jaxnh.solvers.runge_kutta import combine
 from jaxnh.systems.elimination import Factors, factorise, substitute
@@ -79,6 +80,8 @@ class Rosenbrock(eqx.Module):
             h: the step.
             y: coordinates, each ().
         """
+        if len(y) > _WRITTEN_OUT:
+            return self._dense_step(field, t, h, y)
         n = len(y)
         first, push = jax.linearize(field, t, y)
         columns = _columns(push, t, y)
@@ -86,7 +89,7 @@ class Rosenbrock(eqx.Module):
         jacobian = [[column[i] for column in columns] for i in range(len(first))]
         diagonal = 1.0 / (h * self.gamma)
         matrix = [[diagonal - x if i == j else -x for j, x in enumerate(row)] for i, row in enumerate(jacobian[:n])]
-        factors = _factors(jax.tree.map(lax.stop_gradient, matrix))
+        factors = factorise(jax.tree.map(lax.stop_gradient, matrix))
         stages: list[Numbers] = []
         for i in range(self.stages):
             moved = combine(y, self.a[i], [stage[:n] for stage in stages])
@@ -103,34 +106,44 @@ class Rosenbrock(eqx.Module):
         inner = [stage[:n] for stage in stages]
         return PairStep(combine(y, self.b, inner), combine(None, self.b_error, inner), gained)
 
+    def _dense_step(self, field: Callable[[Any, Numbers], Numbers], t: Any, h: Any, y: Numbers) -> PairStep:
+        """The same step with arrays of all coordinates: equations of numbers grow with the square of their count."""
+        n, start = len(y), jnp.stack(y)
+
+        def rates(t: Any, y: Any) -> Any:
+            return jnp.stack(field(t, list(y)))
+
+        first, push = jax.linearize(rates, t, start)
+        basis = jnp.eye(n + 1)
+        *columns, by_time = jax.vmap(push)(basis[:, n], basis[:, :n])
+        jacobian = jnp.stack(columns, axis=1)
+        matrix = basis[:n, :n] / (h * self.gamma) - jacobian[:n]
+        factors = lu_factor(lax.stop_gradient(matrix))
+        stages: list[Any] = []
+        for i in range(self.stages):
+            right = rates(t + self.c[i] * h, combine(start, self.a[i], [stage[:n] for stage in stages])) if i else first
+            right = right + self.d[i] * h * by_time
+            coupled = combine(None, self.couplings[i], stages)
+            right = right if coupled is None else right + coupled / h
+            stage = _solve_dense(matrix, factors, right[:n])
+            along = (right[n:] + jacobian[n:] @ stage) * h * self.gamma
+            stages.append(jnp.concatenate([stage, along]))
+        solution = combine(None, self.b, stages)
+        error = combine(None, self.b_error, stages)
+        return PairStep(list(start + solution[:n]), list(error[:n]), list(solution[n:]))
+
 
 def _columns(push: Callable[..., Numbers], t: Any, y: Numbers) -> list[Numbers]:
     """Derivatives of a field in every coordinate and, as the last, in time, each a list of numbers."""
     n = len(y)
-    if n <= _WRITTEN_OUT:
-        units = [[jnp.full_like(x, float(i == j)) for i, x in enumerate(y)] for j in range(n + 1)]
-        return [push(jnp.full_like(t, float(j == n)), unit) for j, unit in enumerate(units)]
-    basis = jnp.eye(n + 1)
-    table = jax.vmap(push)(basis[:, n], [basis[:, i] for i in range(n)])
-    return [[row[j] for row in table] for j in range(n + 1)]
-
-
-def _factors(matrix: list[Numbers]) -> Any:
-    """Factors of a matrix of numbers: those of a written-out elimination, or of a larger one those of LAPACK."""
-    return factorise(matrix) if len(matrix) <= _WRITTEN_OUT else lu_factor(_dense(matrix))
-
-
-def _dense(matrix: list[Numbers]) -> Any:
-    return jnp.stack([jnp.stack(row) for row in matrix])
+    units = [[jnp.full_like(x, float(i == j)) for i, x in enumerate(y)] for j in range(n + 1)]
+    return [push(jnp.full_like(t, float(j == n)), unit) for j, unit in enumerate(units)]
 
 
 @jax.custom_jvp
-def _solve(matrix: list[Numbers], factors: Any, right: Numbers) -> Numbers:
+def _solve(matrix: list[Numbers], factors: Factors, right: Numbers) -> Numbers:
     """Solution of a linear system whose matrix is factorised: its derivative is one more solution."""
-    if isinstance(factors, Factors):
-        return substitute(factors, right)
-    solution = lu_solve(factors, jnp.stack(right))
-    return [solution[i] for i in range(len(right))]
+    return substitute(factors, right)
 
 
 @_solve.defjvp
@@ -142,6 +155,19 @@ def _(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Numbers, Num
         for x, row in zip(tangents[2], tangents[0], strict=True)
     ]
     return solution, _solve(matrix, factors, moved)
+
+
+@jax.custom_jvp
+def _solve_dense(matrix: Array, factors: tuple[Array, Array], right: Array) -> Array:
+    """The same of arrays (n, n) and (n,), by LAPACK."""
+    return lu_solve(factors, right)
+
+
+@_solve_dense.defjvp
+def _(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    matrix, factors, right = primals
+    solution = _solve_dense(matrix, factors, right)
+    return solution, _solve_dense(matrix, factors, tangents[2] - tangents[0] @ solution)
 
 
 _ROW = (-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946)

@@ -88,6 +88,30 @@ def pushed_lorenz(rate=1.0):
     return {"rhs": rhs, "coordinates": ("x", "y", "z", "s"), "time_unit": 12.0}
 
 
+def diffusion(rate=1.0, n=12):
+    """u' = rate u_xx of n points between walls at zero, whose fastest rate is 4 (n + 1)² times the constant."""
+
+    def rhs(y, t):
+        u = jnp.pad(jnp.stack(y), 1)
+        return rate * (n + 1) ** 2 * (u[2:] - 2.0 * u[1:-1] + u[:-2])
+
+    return {"rhs": lambda y, t: tuple(rhs(y, t)), "coordinates": tuple(f"u{i}" for i in range(n))}
+
+
+_MUCH_STIFFER = pytest.param(4e3, True, marks=pytest.mark.slow)  # a step of as many coordinates is quick
+
+
+@pytest.mark.parametrize(("rate", "implicit"), [(8.0, False), (12.0, False), _MUCH_STIFFER])
+def test_implicit_steps_of_many_coordinates_have_a_price(lanes, rate, implicit):
+    """Mildly stiff motion keeps common steps, on its way to rest at 1e-308 as well."""
+    flow = first_order(diffusion, {"rate": rate}, ("rate",))
+    state = flow.start({name: np.array([1.0]) for name in flow.coordinates})
+    p = {"rate": np.array([rate])}
+    plan = Calibration([SweepPoints(flow, state, p, p)], lanes, target=1e-6).cheapest(1e-6)
+    assert (plan.solver.name == "rodas5p") == implicit
+    assert plan.error_estimate <= 1e-6
+
+
 @pytest.mark.slow  # brief changes without chaos, and samples of parts, are quick
 def test_chaos_over_a_long_unit_of_time_has_parts(lanes):
     """Rounding grows by 1e5 in a unit; the fineness of the steps is that of the plan, whatever the parts."""

@@ -170,11 +170,17 @@ def test_written_out_and_lapack(n):
     np.testing.assert_allclose(np.array(made.y), combine(start, rodas5p.b, stages), rtol=1e-10, atol=1e-12)
 
 
-def test_derivative_of_a_step():
-    """Of a step in its start, by `jax.jvp`, against central differences of it."""
+@pytest.mark.parametrize("more", [0, 9])
+def test_derivative_of_a_step(more):
+    """Of a step in its start, by `jax.jvp`, against central differences of it; with 11 coordinates by LAPACK."""
+
+    def field(t, y):
+        x, v, *others = y
+        rates = pendulum_like(t, (x, v))
+        return [*rates[:2], *(v - k * z * x for k, z in enumerate(others)), rates[2]]
 
     def end(x, v):
-        made = rodas5p.pair_step(pendulum_like, jnp.float64(0.1), 0.3, [x, v])
+        made = rodas5p.pair_step(field, jnp.float64(0.1), 0.3, [x, v, *(0.1 * x for _ in range(more))])
         return jnp.stack([*made.y, *made.gained])
 
     at, along, small = (0.3, 0.8), (0.6, -0.7), 1e-5

@@ -30,6 +30,7 @@ _STEPS = 16  # of a motion in which the field changes most, that are halved
 _HALVINGS = 30
 _STAYS = 0.25  # of a change over a step, that is left of it
 _NOTHING = 1e-6  # of the largest value: a change that may be rounding
+_LAST_DIGITS = 1e-290  # a field that is never larger has few digits, as of a motion that has come to rest
 
 
 class Kink(NamedTuple):
@@ -81,7 +82,7 @@ def find_kink(
     low, high = (np.asarray(field(*ends, share)) for share in (zero, zero + 1.0))
     for order, words in enumerate(("jumps", "has a corner")):
         largest = np.nanmax(np.maximum(np.abs(low[:, order]), np.abs(high[:, order])), axis=0)
-        measure = np.where(largest > 0.0, largest, np.inf)
+        measure = np.where(largest > _LAST_DIGITS, largest, np.inf)
         with np.errstate(invalid="ignore", over="ignore"):  # where the field overflows, nothing is said
             step, share = _lasting_change(field, ends, low, high, measure, order)
         if step is not None:

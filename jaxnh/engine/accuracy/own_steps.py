@@ -18,7 +18,8 @@ from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import flow_of
-from jaxnh.solvers import ADAPTIVE
+from jaxnh.maps.time_tables import time_split
+from jaxnh.solvers import ADAPTIVE, AdaptiveMethod
 from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
@@ -27,6 +28,7 @@ _COMPARED = 32  # samples, of which own steps are least known, whose motions are
 _FINEST_COUNTED = 1 << 16  # evaluations of the field of a calm period, at most
 _MARGIN = 2.0  # times as many evaluations of the field as own steps need are paid for common ones, which are simpler
 _NEAR_TARGET = 0.1  # times the target: errors of single steps add up
+_CHEAP = 8  # coordinates of which an implicit step is always worth it, where stability binds explicit ones
 _BOUND_BY_ACCURACY = 1.5  # times as many steps at least as half as fine ones: those that stability binds are as many
 SPLIT = 4
 """Parts that a unit of time, or a part of one, is cut into."""
@@ -60,15 +62,20 @@ def check_price(maps: SampleMaps, samples: Samples, kicks: int, target: float) -
     """Check that steps with so many evaluations of the field a period are worth it.
 
     Raises:
-        TooDearError: those of a lane's own take far fewer.
+        TooDearError: those of a lane's own take far fewer; where stability binds them, implicit ones, which of many
+            coordinates are worth many evaluations each.
     """
-    solver = ADAPTIVE["adaptive_tsit5"]
-    steps = solver.most_steps(_FINEST_COUNTED)
-    while steps > 1 and solver.tolerance(steps // 2) <= _NEAR_TARGET * target:
-        steps //= 2
-    needed = _trials(maps, samples, steps)
-    if kicks > _MARGIN * needed * solver.stages:
-        raise TooDearError(kicks, stiff=needed < _BOUND_BY_ACCURACY * _trials(maps, samples, max(1, steps // 2)))
+    explicit, implicit = ADAPTIVE["adaptive_tsit5"], ADAPTIVE["rodas5p"]
+    steps = _steps_at(explicit, target)
+    needed = _trials(maps, samples, explicit, steps)
+    if kicks <= _MARGIN * needed * explicit.stages:
+        return
+    stiff = needed < _BOUND_BY_ACCURACY * _trials(maps, samples, explicit, max(1, steps // 2))
+    if stiff and len(maps.flow.coordinates) > _CHEAP:
+        each = _price_of_implicit_step(maps, implicit)
+        if kicks <= _MARGIN * each * _trials(maps, samples, implicit, _steps_at(implicit, target)):
+            return
+    raise TooDearError(kicks, stiff=stiff)
 
 
 def agree(
@@ -124,8 +131,23 @@ def spread_over_unit(maps: SampleMaps, reference: Reference, samples: Samples) -
     return samples._replace(states=moved)
 
 
-def _trials(maps: SampleMaps, samples: Samples, steps: int) -> float:
-    """Explicit steps of a lane's own in a period, or unit of time, as fine as so many of a calm one.
+def _steps_at(solver: AdaptiveMethod, target: float) -> int:
+    """Steps of a calm period, each of which errs by less than a target, as errors of single steps add up."""
+    steps = solver.most_steps(_FINEST_COUNTED)
+    while steps > 1 and solver.tolerance(steps // 2) <= _NEAR_TARGET * target:
+        steps //= 2
+    return steps
+
+
+def _price_of_implicit_step(maps: SampleMaps, solver: AdaptiveMethod) -> float:
+    """Evaluations of the field that take as long as a step: its stages, a Jacobian, its factors and their use."""
+    flow = maps.flow
+    n, stages = len(flow.coordinates), solver.stages
+    return stages + n + (2 / 3 * n**3 + 2 * stages * n**2) / max(1, time_split(flow).size)
+
+
+def _trials(maps: SampleMaps, samples: Samples, solver: AdaptiveMethod, steps: int) -> float:
+    """Steps of a lane's own in a period, or unit of time, as fine as so many of a calm one.
 
     Of the slowest lanes, for which the others of their tile wait.
     """
@@ -134,6 +156,6 @@ def _trials(maps: SampleMaps, samples: Samples, steps: int) -> float:
         picked = picked._replace(states=picked.states.state)
 
     def shared(row: int) -> tuple[ReturnMap]:
-        return (make_return_map(flow_of(maps.flows[row]), in_loop(ADAPTIVE["adaptive_tsit5"]), steps),)
+        return (make_return_map(flow_of(maps.flows[row]), in_loop(solver), steps),)
 
     return float(np.max(np.asarray(maps.by_flow(count_trials, shared, picked, 1))))
