@@ -112,8 +112,8 @@ def distinct_orbits(meetings: Meetings, curves: tuple[Curves, Curves], same: flo
 def refine_crossings(lanes: LaneRunner, curves: tuple[Curves, Curves], meetings: Meetings, wrap: Wrap) -> Crossings:
     """Return the crossings near meetings, not numbers where Newton does not come to rest.
 
-    A point is where the tangents of the last step meet. Points of the curves themselves lie on a lattice along these, as
-    rounding of the first segment (1e-16/δ of x) moves them; across the curves they are as exact as the map is.
+    A point is where the tangents of the last step meet. Points of the curves themselves lie on a lattice along these,
+    as rounding of the first segment (1e-16/δ of x) moves them; across the curves they are as exact as the map is.
 
     Args:
         curves: of unstable and of stable manifolds.

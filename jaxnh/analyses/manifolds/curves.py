@@ -245,9 +245,9 @@ def error_of_distance(
 ) -> Float[np.ndarray, " *shape"]:
     """Return the error across of curves that twice the steps and a start nearer to the saddle move by a distance.
 
-    Of a method of order p the error is 2^p / (2^p - 1) of what twice the steps change, at most twice it. Of a start δ
-    across by δ² it is at most 4/3 of what a start at half of δ changes, whatever the images contract it by on the way. Both
-    are zero where rounding alone is left, that of the last image.
+    Of a method of order p the error is 2^p / (2^p - 1) of what twice the steps change, at most twice it. Of a start
+    that is off by δ² it is at most 4/3 of what a start at half of δ changes, whatever the images contract it by on the
+    way. Both are zero where rounding alone is left, that of the last image.
 
     Args:
         distance: in sizes.
