@@ -54,7 +54,8 @@ def motion_unit(
     """Return a size of each section coordinate: the median over lanes that move, in which it does not vanish.
 
     A coordinate may be zero in half of the lanes, as up to a bifurcation that breaks a symmetry: in sizes of these all
-    orbits beyond would be too far apart to be followed. Where no lane has settled on an orbit it is the extent of starts at least.
+    orbits beyond would be too far apart to be followed. Where no lane has settled on an orbit it is the extent of
+    starts at least.
 
     Args:
         batches: of the lanes.
