@@ -128,7 +128,7 @@ def grow_branches(
         for maps, of_map, again in zip(side.maps, germs, (False, True), strict=True)
     )
     branches = grow(lanes, curves, wrap, length, spacing, most)
-    deviation = np.full(len(branches), np.nan)
+    deviation, largest = np.full((2, len(branches)), np.nan)
     known = [b for b, branch in enumerate(branches) if branch is not None]
     if known:
         x = [branch.x[1:] for branch in branches if branch is not None]
@@ -137,8 +137,9 @@ def grow_branches(
         for b, part in zip(known, np.split(points, np.cumsum([len(each) for each in x])[:-1]), strict=True):
             branch = branches[b]
             assert branch is not None
-            largest = np.max(np.abs(branch.points) / curves.size[b])
-            deviation[b] = error_of_distance(distance_from(branch, part, curves.size[b], wrap), largest)
+            deviation[b] = distance_from(branch, part, curves.size[b], wrap)
+            largest[b] = np.max(np.abs(branch.points) / curves.size[b])
+        deviation = error_of_distance(deviation, largest)
     return BranchSet((curves, fine), branches, deviation)
 
 
