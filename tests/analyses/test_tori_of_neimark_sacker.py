@@ -195,12 +195,19 @@ def test_hopf_points_within_a_step():
 
 
 def test_coordinate_that_the_orbit_rests_in():
-    """Sizes of the orbit are none of its tori; in those of the normal form the branch goes from one end to the other."""
+    """Sizes of the orbit are none of its tori; in those of the normal form the branch goes from one end to the other.
+
+    So does that about the fixed point between its points, which repels along s by 1.3 an iterate.
+    """
     session = jaxnh.Session(alternating_arch, start={"a": 0.6, "b": 0.1, "s": 1.0})
     data = follow(session, max_period=2, c=np.linspace(-1.0, 1.0, 9))
-    assert data["period"].to_numpy().tolist() == [2]
-    assert ends(data) == [["start"], ["collapsed"]]
-    tori = branch(data)
+    assert data["period"].to_numpy().tolist() == [1, 2]
+    assert ends(data) == [["start"] * 2, ["collapsed"] * 2]
+    saddles = branch(data, 0)
+    c = saddles["c"].to_numpy()
+    square = 0.3**2 - c**2
+    assert_numbers(saddles, 0.1234 + 0.2 * square, [0 * c + math.log(1.3), np.log(1.0 - square)], 2e-3)
+    tori = branch(data, 1)
     c = tori["c"].to_numpy()
     square = 0.3**2 - c**2
     assert max(c[0] * c[-1], -0.085) == -0.085

@@ -65,13 +65,17 @@ def test_around_a_fold():
     mu, turns = tori["mu"].to_numpy(), tori["rotation"].to_numpy()
     turn = int(np.argmin(mu))
     assert -0.25 <= mu[turn] < -0.249
-    square = 0.5 + np.where(np.arange(len(mu)) < turn, -0.5, 0.5) * np.sqrt(np.maximum(1.0 + 4.0 * mu, 0.0))
-    away = np.abs(square - 0.5) > 0.02  # beside the fold the square is not told by the parameter
-    assert np.all(np.abs(turns - 0.2345 - 0.3 * square)[away] <= tori["rotation_error"].to_numpy()[away])
+    outer = (np.arange(len(mu)) > turn) | ((np.arange(len(mu)) == turn) & (turns > 0.2345 + 0.3 * 0.5))
+    root = np.sqrt(np.maximum(np.longdouble(1.0) + 4.0 * np.longdouble(mu), 0.0))
+    square = (0.5 + np.where(outer, 0.5, -0.5) * root).astype(float)
+    away = np.abs(square - 0.5) > 0.02
+    assert np.all(np.abs(turns - 0.2345 - 0.3 * square) <= tori["rotation_error"].to_numpy())
     assert tori["rotation_error"].to_numpy()[away].max() < 1e-8
     growth, error = (tori[name].to_numpy()[:, 0] for name in ("growth", "growth_error"))
     exact = np.log(1.0 + 0.3 * (2.0 * square - 4.0 * square**2))
-    assert np.all(np.abs(growth - exact)[away] <= error[away])
+    # Next to the fold, in bars of the map alone, the growth was up to 90 of them off: the curve is off by more there.
+    assert np.all(np.abs(growth - exact) <= error)
+    assert error[away].max() < 1e-11
     kinds = jaxnh.labels(tori["kind"]).to_numpy()
     assert set(kinds[: turn - 2]) == {"repelling"}
     assert set(kinds[turn + 2 :]) == {"attracting"}

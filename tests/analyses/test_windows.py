@@ -287,3 +287,39 @@ def test_crisis_of_a_flow_whose_bands_are_born_in_a_doubling(tmp_path):
     assert int(data["period"]) == 2
     crisis, error = float(data["crisis"]), float(data["crisis_error"])
     assert abs(crisis - CRISES["2, of a doubling"][2]) <= error < 1e-4
+
+
+FORKED = """
+import jax.numpy as jnp
+
+def system(v=0.1, bend=0.3):
+    def rhs(y, t):
+        turn = 2 * jnp.pi * t
+        x, z = y[0] - 0.3 * jnp.cos(turn), y[1]
+        return v * x - x**3 - 0.6 * jnp.pi * jnp.sin(turn), bend * x * x - z
+
+    return {"rhs": rhs, "coordinates": ("x", "z"), "period": 1.0}
+"""
+
+
+def test_twins_in_a_coordinate_that_vanishes_before_they_are_born(tmp_path):
+    """x' = v x − x³ and z' = bend x² − z, with x from a place that a clock moves, has a pitchfork at v = 0.
+
+    Before it z vanishes. In sizes of most lanes, 10⁻⁴ of the start's, z of the twins was so large that their branches
+    ended beside each lane, and windows of two lanes began and ended nowhere.
+    """
+    (tmp_path / "forked.py").write_text(FORKED)
+    text = f"""\
+system: {{file: {tmp_path / "forked.py"}}}
+initial: {{x: 0.1, z: 0.1}}
+sweep: {{v: {{start: -0.91, stop: 0.5, count: 24}}}}
+accuracy: {{solver: dopri8, steps: 16}}
+analyses:
+  windows: {{max_period: 1, crisis: 0, levels: 0}}
+"""
+    data = session_of(Experiment.from_text(text)).groups({"windows": {"max_period": 1, "crisis": 0, "levels": 0}})
+    data = data["windows"]
+    assert data.sizes["window"] == 1
+    assert jaxnh.labels(data["begin_kind"]).to_numpy().tolist() == ["branch point"]
+    assert abs(float(data["begin"][0])) <= float(data["begin_error"][0]) < 1e-9
+    assert float(data["last"][0]) == pytest.approx(0.5, abs=1e-12)

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import jaxnh
 from jaxnh.analyses.batch import broadcast_start
+from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.accuracy.sample_maps import SampleMaps
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.experiment import Experiment
@@ -335,3 +336,17 @@ def test_tiles_are_for_all_samples(starts, tile):
     with mock.patch("jaxnh.engine.plan.Calibration") as made:
         calibrate(experiment, experiment.axes, LaneExecutor(devices=jax.devices()[:1]))
     assert made.call_args.args[1].tile == tile
+
+
+def test_parts_of_a_unit_end_where_errors_are_infinite():
+    """Of motions that leave a saddle for infinity the floor with steps of a lane's own is, and no part of it is less."""
+    calibration = Calibration.__new__(Calibration)
+    calibration._precision, calibration._target, calibration.floor = "float64", 1e-6, np.inf
+    calibration._maps = calibration._reference = calibration._samples = calibration._sizes = mock.Mock()
+    with (
+        mock.patch("jaxnh.engine.accuracy.calibration.has_own_steps", return_value=True),
+        mock.patch.object(Calibration, "_measure"),
+        mock.patch.object(Calibration, "_split_unit", side_effect=[False]) as split,
+    ):
+        assert calibration._take_own_steps(mock.Mock())
+    assert split.call_count == 1

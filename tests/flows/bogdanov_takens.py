@@ -12,11 +12,11 @@ A, B = 0.7, -1.3
 """Coefficients of `bent`."""
 
 
-def normal_form(p=0.0, q=0.0, b=-1.0):
-    """w₀'' = p + q w₀' + w₀² + b w₀ w₀'."""
+def normal_form(p=0.0, q=0.0, b=-1.0, origin=0.0, more=0.0):
+    """w₀'' = p + q w₀' + w₀² + b w₀ w₀', w₀ from a place on whose last digits may be more than a double has."""
 
     def rhs(y, t):
-        w0, w1 = y
+        w0, w1 = y[0] - origin - more, y[1]
         return w1, p + q * w1 + w0 * w0 + b * w0 * w1
 
     return {"rhs": rhs, "coordinates": ("w0", "w1")}

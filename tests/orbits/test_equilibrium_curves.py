@@ -25,7 +25,7 @@ from jaxnh.orbits.continuation.kinds import FOLD, HOPF, KINDS
 from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, ENDS, MOST_POINTS, RANGE, StepControl
 from jaxnh.solvers import verner9
 from jaxnh.systems.first_order import first_order
-from tests.flows.bogdanov_takens import lorenz84
+from tests.flows.bogdanov_takens import lorenz84, normal_form
 from tests.helpers.batches import batch_of
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")
@@ -175,6 +175,26 @@ def test_errors_of_points_at_random_parameters(lanes, lorenz_curves, count):
     assert len(rows) >= 20 * count
     assert np.mean(misses <= errors) >= 0.95
     assert np.median(errors) < 100.0 * np.quantile(misses, 0.95)
+
+
+def test_errors_of_points_far_from_the_origin_of_a_coordinate(lanes):
+    """The last digits of w₀ leave its equations off, and the point, at p = q = 0, by more than those of p and q do."""
+    low, high, rows = {"p": -0.5, "q": -0.4}, {"p": 0.47, "q": 0.43}, []
+    for origin in (0.0, *np.random.default_rng(3).uniform(500.0, 2000.0, 6)):
+        others = {"origin": float(origin), "more": 0.37}
+        field = problem(normal_form, low, high, lanes, ("w1", 1, 0.001), others=others | {"b": -1.0}).field
+        curves = curves_from(field, FOLD, [origin + 0.37, 0.0], [0.0, 0.2])
+        rows += [
+            (abs(miss), error, origin)
+            for point in (point for one in curves for point in one.points)
+            if POINTS[point.point.kind] == "bogdanov_takens"
+            for miss, error in zip(point.point.values, point.error, strict=True)
+        ]
+    misses, errors, origins = np.array(rows).T
+    assert len(rows) == 28  # from the curve of folds and from that of Hopf points
+    assert np.all(misses <= errors)
+    assert errors.max() < 1e-11
+    assert errors[origins == 0.0].max() < 1e-14
 
 
 def test_hopf_curves_end_at_bogdanov_takens_points(lorenz_curves):

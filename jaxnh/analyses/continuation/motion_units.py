@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.periodic.attractor_survey import Survey, extent, radian
+from jaxnh.analyses.periodic.attractor_survey import Survey, extent, least_sizes, radian
 from jaxnh.analyses.random_starts import Box, box_corners
 from jaxnh.analyses.section_points import at_rest, points_at
 from jaxnh.maps.section import begin
@@ -23,6 +23,7 @@ from jaxnh.systems.flow import Flow, Parameters
 _STILL = 1e-9  # of the extent of starts: what moves less in a radian of the period rests
 _PHASES = (0.0, 0.29, 0.61)  # shares of a period, at which no forcing with a symmetry vanishes twice
 _ESCAPED = 1e15  # times the extent of starts: larger motions that are no orbits are on their way to infinity
+_VANISHES = 1.001  # of the smallest size that a motion is given: what is no larger decays, or rests at zero
 _LEAST = 0.01  # of the extent of starts: smaller motions that are no orbits are on their way to an equilibrium
 
 
@@ -50,9 +51,11 @@ def motion_unit(
     sizes: Float[np.ndarray, "lanes d"],
     box: Box,
 ) -> Float[np.ndarray, " d"]:
-    """Return a size of each section coordinate: the median over lanes that move.
+    """Return a size of each section coordinate: the median over lanes that move, in which it does not vanish.
 
-    Where no lane has settled on an orbit it is the extent of starts at least.
+    A coordinate may be zero in half of the lanes, as up to a bifurcation that breaks a symmetry: in sizes of these all
+    orbits beyond would be too far apart to be followed. Where no lane has settled on an orbit it is the extent of
+    starts at least.
 
     Args:
         batches: of the lanes.
@@ -65,7 +68,10 @@ def motion_unit(
     with np.errstate(invalid="ignore"):
         bounded = np.any(sizes > _LEAST * starts, axis=1) & np.all(sizes < _ESCAPED * starts, axis=1)
     moving = ((period > 0) | bounded) & np.isfinite(sizes).all(axis=1)
-    unit = np.median(sizes[moving], axis=0) if moving.any() else starts
+    smallest = np.concatenate([least_sizes(batch, lanes) for batch in batches])
+    present = np.where(sizes > _VANISHES * smallest, sizes, np.nan)[moving]
+    counted = np.where(np.isfinite(present).any(axis=0), present, sizes[moving])
+    unit = np.nanmedian(counted, axis=0) if moving.any() else starts
     return _given_or(batches[0], unit if np.any(moving & (period > 0)) else np.maximum(unit, starts))
 
 

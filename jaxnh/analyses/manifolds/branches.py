@@ -10,7 +10,15 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.base import OptionError
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, distance_from, grow, positions
+from jaxnh.analyses.manifolds.curves import (
+    Curves,
+    ManifoldBranch,
+    curves_of,
+    distance_from,
+    error_of_distance,
+    grow,
+    positions,
+)
 from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, find_orbits, parameters_of, take_orbits
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.maps.family import Maps, padded_like
@@ -41,7 +49,7 @@ class BranchSet(NamedTuple):
     Attributes:
         curves: as the steps that the accuracy asks for have them, and twice as many.
         branches: None where the manifold has not one dimension.
-        deviation: largest distance between both, in sizes, (branches,).
+        deviation: error across them by the largest distance between both, in sizes, (branches,).
     """
 
     curves: tuple[Curves, Curves]
@@ -120,7 +128,7 @@ def grow_branches(
         for maps, of_map, again in zip(side.maps, germs, (False, True), strict=True)
     )
     branches = grow(lanes, curves, wrap, length, spacing, most)
-    deviation = np.full(len(branches), np.nan)
+    deviation, largest = np.full((2, len(branches)), np.nan)
     known = [b for b, branch in enumerate(branches) if branch is not None]
     if known:
         x = [branch.x[1:] for branch in branches if branch is not None]
@@ -130,6 +138,8 @@ def grow_branches(
             branch = branches[b]
             assert branch is not None
             deviation[b] = distance_from(branch, part, curves.size[b], wrap)
+            largest[b] = np.max(np.abs(branch.points) / curves.size[b])
+        deviation = error_of_distance(deviation, largest)
     return BranchSet((curves, fine), branches, deviation)
 
 

@@ -40,6 +40,8 @@ _STILL = 1e-6  # sizes: a branch that has grown by less in a segment has settled
 _MOST_SEGMENTS = 512  # beyond those that are too short to be seen
 _MOST_TURNS = 4096
 _BLOWN = 1e6  # sizes: points further away are none
+_SAFETY = 2.0
+_LAST_DIGITS = 4.0  # of the largest coordinate: rounding of an image, whose operations are a few
 
 
 class Curves(NamedTuple):
@@ -83,11 +85,13 @@ def curves_of(
     """Return the curves that begin with germs of orbits of so many returns, one each.
 
     Args:
-        again: whether points begin a segment earlier, where that is not below rounding.
+        again: whether points begin at half of δ or nearer, whole segments earlier, where that is not below rounding.
     """
     modulus = np.abs(germs.multiplier)
     delta = np.minimum(_LONGEST, _END / modulus)
-    earlier = (again & (delta > _SHORT * modulus)).astype(int)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        segments = np.clip(np.ceil(np.log(2.0) / np.log(modulus)), 1, _MOST_TURNS)
+        earlier = np.where(again & (delta > _SHORT * modulus**segments), segments, 0).astype(int)
     return Curves(strobe, p, germs.points, germs.directions, germs.multiplier, delta, earlier, returns, size)
 
 
@@ -234,6 +238,22 @@ class _Growing:
         kept = min(int(np.searchsorted(arc, self.length)) + 1, len(arc), self.most - 1)
         x, u = np.insert(self.x[:kept], 0, -np.inf), np.insert(self.u[:kept], 0, self.start, axis=0)
         return ManifoldBranch(x, u, np.insert(arc[:kept], 0, 0.0), self.end)
+
+
+def error_of_distance(
+    distance: Float[np.ndarray, " *shape"], largest: Float[np.ndarray, " *shape"]
+) -> Float[np.ndarray, " *shape"]:
+    """Return the error across of curves that twice the steps and a start nearer to the saddle move by a distance.
+
+    Of a method of order p the error is 2^p / (2^p - 1) of what twice the steps change, at most twice it. Of a start
+    that is off by δ² it is at most 4/3 of what a start at half of δ changes, whatever the images contract it by on the
+    way. Both are zero where rounding alone is left, that of the last image.
+
+    Args:
+        distance: in sizes.
+        largest: modulus of the coordinates, in sizes.
+    """
+    return _SAFETY * distance + _LAST_DIGITS * np.finfo(float).eps * largest
 
 
 def distance_from(branch: ManifoldBranch, points: Float[np.ndarray, "points d"], size: np.ndarray, wrap: Wrap) -> float:

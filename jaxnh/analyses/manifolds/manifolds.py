@@ -25,7 +25,7 @@ from jaxnh.analyses.manifolds.crossings import (
     refine_crossings,
     take,
 )
-from jaxnh.analyses.manifolds.curves import ManifoldBranch
+from jaxnh.analyses.manifolds.curves import ManifoldBranch, error_of_distance
 from jaxnh.analyses.manifolds.saddles import Saddles
 from jaxnh.analyses.manifolds.surface_runs import check_surfaces, run_surfaces
 from jaxnh.analyses.manifolds.surface_tables import surface_table
@@ -123,7 +123,7 @@ def _crossings(
     size: Float[np.ndarray, "lanes 2"],
     grown: tuple[BranchSet, BranchSet],
 ) -> tuple[Crossings, Float[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
-    """Return the shortest crossings of each lane, in order of lanes, how far twice the steps move them, and lanes."""
+    """Return the shortest crossings of each lane, in order of lanes, their errors in sizes, and lanes."""
     wrap, angles = batch.chart.wrap, any(batch.chart.angles)
     seen = joined(
         [
@@ -140,8 +140,10 @@ def _crossings(
     good, lane = good[place < options.crossings], lane[place < options.crossings]
     kept = Crossings(take(refined.meetings, good), refined.points[good], refined.angle[good])
     again = refine_crossings(lanes, fine, kept.meetings, wrap)
-    deviation = np.linalg.norm(wrap(again.points - kept.points) / size[lane], axis=1)
-    return kept, deviation, lane
+    moved = np.linalg.norm(wrap(again.points - kept.points) / size[lane], axis=1)
+    # What is across either curve moves the point where they meet the further, the flatter their angle is.
+    largest = np.abs(kept.points / size[lane]).max(axis=1, initial=0.0) / np.sin(kept.angle)
+    return kept, error_of_distance(moved, largest), lane
 
 
 def _tangencies(

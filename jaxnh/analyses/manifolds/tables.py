@@ -44,7 +44,7 @@ class Manifolds(NamedTuple):
         saddles: those that are kept.
         number: of all saddles of each lane, (lanes,).
         grown: branches by number of their kind.
-        crossings: how far twice the steps move each, in sizes, and the numbers of their lanes; None: not wanted.
+        crossings: with the error of each, in sizes, and the numbers of their lanes; None: not wanted.
         tangencies: the same with their lanes.
     """
 
@@ -107,7 +107,9 @@ def _of_branches(options: ManifoldsOptions, batch: LaneBatch, lanes: LaneRunner,
         "multiplier": variable(dims, multiplier, "multiplier along the branch"),
         "end": flag(dims, end, "how the branch ends", ENDS),
         "deviation": variable(
-            dims, deviation, f"largest distance of the branch from that of twice the steps and a shorter start, {SIZES}"
+            dims,
+            deviation,
+            f"largest distance of points from the manifold, by twice the steps and a shorter start, {SIZES}",
         ),
     }
 
@@ -126,7 +128,7 @@ def _of_crossings(
     columns = (
         ("crossing_arc", meetings.arc, f"sum of the arc lengths of both branches, {SIZES}", "1"),
         ("crossing_angle", crossings.angle, "angle between the branches, coordinates in halves of the box", "rad"),
-        ("crossing_deviation", deviation, f"how far twice the steps and a shorter start move the point, {SIZES}", "1"),
+        ("crossing_deviation", deviation, f"error of the point, by twice the steps and a shorter start, {SIZES}", "1"),
     )
     return {
         **named_points(batch, lanes, points, dims, "_crossings", "of points where manifolds cross, one of each orbit"),

@@ -281,7 +281,7 @@ def _look(
     if lanes.on_card and count <= _MOST_KEPT:
         strobe, p = batch.strobe(), dict(batch.p)
         state = lanes.iterate(strobe, timing.wait, (state, p), tile=tile) if timing.wait else state
-        beside = _least_size(batch, lanes) if sized else ()
+        beside = least_sizes(batch, lanes) if sized else ()
         static = count, sought, None if batch.flow.autonomous else radian(batch)
         (*seen, finite), end = lanes.summarise(strobe, count, (state, p), beside, _look_at_lane, static, tile=tile)
         first, last, size, recurs = map(np.asarray, seen)
@@ -349,11 +349,11 @@ def motion_sizes(
     size = np.max(np.abs(points), axis=1)
     if not batch.flow.autonomous:
         size = np.maximum(size, extent(batch, lanes, end))
-    return _usable_sizes(batch.chart, np.maximum(size, _least_size(batch, lanes)), np)
+    return _usable_sizes(batch.chart, np.maximum(size, least_sizes(batch, lanes)), np)
 
 
-def _least_size(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
-    """The smallest size of the motion of each lane, by its start."""
+def least_sizes(batch: LaneBatch, lanes: LaneRunner) -> Float[np.ndarray, "lanes d"]:
+    """Return the smallest size of the motion of each lane, by its start: that of coordinates that vanish."""
     return _SMALLEST * extent(batch, lanes, batch.start)
 
 

@@ -14,16 +14,18 @@ from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents import lyapunov
-from jaxnh.analyses.exponents.errors import Average, average_blocks, smooth_parts, widen_by_drift, widen_to_zero
+from jaxnh.analyses.exponents.errors import Average, average_blocks, change, smooth_parts, widen_by_drift, widen_to_zero
 from jaxnh.analyses.exponents.estimates import SOURCES, exponent_sum, step_error
 from jaxnh.analyses.exponents.tangent_growth import average, begin
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.smooth_window import DEGREE
 from jaxnh.maps.build import backward_parts
+from jaxnh.maps.family import Maps
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.state import State
 
+_COMPARED = 16  # periods in which averages are held against those with twice the steps, from one state each
 _ALIGNING = 8  # of this many parts of the transient, one turns tangents into place
 
 
@@ -59,10 +61,18 @@ def of_attractor(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, 
 def of_repeller(
     options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, parts: int, states: State, instant: float
 ) -> Rates:
-    """Return all exponents of the flow backwards in time from states at an instant of the clock, and their sum."""
+    """Return all exponents of the flow backwards in time from states at an instant of the clock, and their sum.
 
-    made = backward_parts(batch.flow, batch.solver, batch.steps, parts, instant, compensated=batch.compensated)
-    strobes = in_precision(made, batch.precision)
+    Steps are chosen for the map and its tangents forward in time. Backwards they may do less, where the motion is
+    another: their part of the errors is at least twice what twice the steps change.
+    """
+
+    def backward(refinement: int) -> Maps:
+        steps = refinement * batch.steps
+        made = backward_parts(batch.flow, batch.solver, steps, parts, instant, compensated=batch.compensated)
+        return in_precision(made, batch.precision)
+
+    strobes = backward(1)
     k, lead, p = lyapunov.tangents(options, batch), int(batch.flow.autonomous), dict(batch.p)
     aligning, block = max(options.transient // _ALIGNING, 1), options.periods // BLOCKS
     rates = np.full((batch.count, BLOCKS, lead + k + 2), np.nan)
@@ -73,14 +83,16 @@ def of_repeller(
         for i in range(BLOCKS):
             growth, rates[:, i] = average(lanes, strobes, growth, p, block, i / BLOCKS)
             smooth += smooth_parts(growth, block, i)
+        coarse, fine = (average(lanes, backward(n), growth, p, _COMPARED)[1][:, :-1] for n in (1, 2))
+    by_steps = np.maximum(step_error(batch), 2.0 * change(coarse, fine))
     steps = batch.error_estimate * block * BLOCKS
     every = widen_by_drift(average_blocks(rates[:, :, :-1]), smooth, rates[:, :, :-1], steps)
     mean, error = widen_to_zero(Average(*(values[:, : lead + k] for values in every)), aligning, BLOCKS * block)
     if lead:
         mean[:, 0], error[:, 0] = np.where(np.isfinite(mean[:, 0]), 0.0, np.nan), 0.0
     total, total_error = (values[:, lead + k] for values in every)
-    error[:, lead:] += step_error(batch)
-    return _in_time(batch, mean, error, total, total_error + step_error(batch))
+    error[:, lead:] += by_steps[:, lead : lead + k]
+    return _in_time(batch, mean, error, total, total_error + by_steps[:, lead + k])
 
 
 def _in_time(

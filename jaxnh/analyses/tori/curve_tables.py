@@ -10,7 +10,8 @@ from jaxnh.analyses.base import Entry, flag, number_variable, variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.section_points import states_at
-from jaxnh.analyses.tori.invariant_curves import CurveQuality, InvariantCurve, normal_growth
+from jaxnh.analyses.tori.invariant_curves import CurveQuality, InvariantCurve
+from jaxnh.analyses.tori.normal_growth import normal_growth
 from jaxnh.analyses.trajectories.states import state_variables
 
 KINDS = ("attracting", "saddle", "repelling", "neutral", "undecided", "none", "failed")
@@ -49,7 +50,7 @@ class CurveTable:
         self._residual[place], self._decay[place] = quality.residual, quality.decay
         self._harmonics[place], self._points[place] = curve.harmonics, curve.at(self._theta)
         error = iterates * self._batch.error_estimate
-        growth, missed = normal_growth(curve, quality.matrices, self._k, _GROWTH_POINTS, error)
+        growth, missed = normal_growth(curve, quality, self._k, _GROWTH_POINTS, error)
         self._growth[place], self._growth_error[place] = growth, missed
         self.kind[place] = KINDS.index(_kind(growth, missed + quality.rotation_error))
 

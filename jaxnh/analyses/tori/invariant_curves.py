@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from scipy.linalg import lstsq
 
-from jaxnh.analyses.rotation.averages import birkhoff_average
 from jaxnh.analyses.smooth_window import window_weights
 from jaxnh.orbits.newton import Images
 from jaxnh.systems.chart import Wrap
@@ -30,6 +29,7 @@ _FEWEST = 8  # harmonics
 _APART = 4.0  # turns, in all points of a motion, that two harmonics differ by which averages over it tell apart
 _FLOOR = 1e-12  # of the largest coefficient: what is less is rounding, and tells no rate of decay
 _TINY = np.finfo(float).tiny
+_SHIFT = 1e-6  # sizes: of all nodes, for the derivatives of ∂P/∂u in them
 _DROPPED = 1e-13  # singular values of Newton's matrix, of the largest: along the family of curves
 
 
@@ -78,12 +78,12 @@ class InvariantCurve:
 
     def at(self, theta: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points d"]:
         """Return the points at these θ, in turns."""
-        return _polynomial(self.coefficients, theta) + _TURN * theta[:, None] * self.winding
+        return trigonometric_polynomial(self.coefficients, theta) + _TURN * theta[:, None] * self.winding
 
     def tangents(self, theta: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points d"]:
         """Return dK/dθ, a turn."""
         wave = 2j * np.pi * np.arange(self.harmonics + 1)[:, None]
-        return _polynomial(wave * self.coefficients, theta) + _TURN * self.winding
+        return trigonometric_polynomial(wave * self.coefficients, theta) + _TURN * self.winding
 
     def with_harmonics(self, m: int) -> InvariantCurve:
         """Return the curve with so many harmonics, those beyond its own zero."""
@@ -100,6 +100,9 @@ class CurveQuality(NamedTuple):
         decay: rate at which coefficients fall with the harmonic, the width in rad of the strip about the real axis in
             which the curve is analytic; NaN where too few are above rounding.
         matrices: ∂P/∂u at the nodes, (N, d, d).
+        volume_error: of the mean of log |det ∂P/∂u| along the curve, by what the curve may be off.
+        displaced: ∂P/∂u at the nodes, off by what the equations may miss in the direction that they tell least, (N, d,
+            d); those of a plane, where the error of the volume says all, are as they are.
     """
 
     converged: bool
@@ -107,15 +110,18 @@ class CurveQuality(NamedTuple):
     residual: float
     decay: float
     matrices: Float[np.ndarray, "N d d"]
+    volume_error: float
+    displaced: Float[np.ndarray, "N d d"]
 
 
 def _nodes(count: int) -> Float[np.ndarray, " N"]:
     return np.arange(count) / count
 
 
-def _polynomial(
+def trigonometric_polynomial(
     coefficients: Complex[np.ndarray, "m d"], theta: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, "points d"]:
+    """Return real polynomials with Fourier coefficients of harmonics from 0 on at these θ, in turns."""
     k = np.arange(len(coefficients))
     waves = np.where(k > 0, 2.0, 1.0) * np.exp(2j * np.pi * np.outer(theta % 1.0, k))
     return np.real(waves @ coefficients)
@@ -148,7 +154,9 @@ def curve_through(
     waves = np.exp(-2j * np.pi * np.outer(np.arange(m + 1), theta))
     coefficients = (waves * weights) @ periodic / np.sum(weights)
     nodes = _nodes(2 * m + 1)
-    return InvariantCurve(_polynomial(coefficients, nodes) + _TURN * nodes[:, None] * winding, winding, rotation)
+    return InvariantCurve(
+        trigonometric_polynomial(coefficients, nodes) + _TURN * nodes[:, None] * winding, winding, rotation
+    )
 
 
 def solve_curves(
@@ -189,11 +197,19 @@ def is_resolved(curve: InvariantCurve) -> bool:
 
 
 def _asked(
-    images: Images, curves: dict[int, InvariantCurve], shift: float
+    images: Images, curves: dict[int, InvariantCurve], shift: float, coordinate: int | None = None
 ) -> dict[int, tuple[Float[np.ndarray, "N d"], Float[np.ndarray, "N d d"]]]:
-    """Return images and derivatives at the nodes of all curves, moved by so many of their distances."""
+    """Return images and derivatives at the nodes of all curves, moved by so many of their distances.
+
+    Args:
+        coordinate: number of that by which all points are shifted as well, by `_SHIFT`.
+    """
     places = {lane: _nodes(len(curve.points)) + shift / len(curve.points) for lane, curve in curves.items()}
-    u = np.concatenate([curve.at(places[lane]) for lane, curve in curves.items()])
+    u = [curve.at(places[lane]) for lane, curve in curves.items()]
+    if coordinate is not None:
+        ways = _SHIFT * np.eye(u[0].shape[1])[coordinate]
+        u = [points + ways * curve.size for points, curve in zip(u, curves.values(), strict=True)]
+    u = np.concatenate(u)
     lane = np.repeat(np.array(list(curves), np.int64), [len(theta) for theta in places.values()])
     at = images(u, lane)
     image, matrices = np.asarray(at.image), np.asarray(at.monodromy)
@@ -285,20 +301,25 @@ def qualities(
     if not curves:
         return {}
     nodes, between = _asked(images, curves, 0.0), _asked(images, curves, 0.5)
+    beside = [_asked(images, curves, 0.0, j) for j in range(next(iter(curves.values())).points.shape[1])]
+    of_lane = {lane: np.stack([shifted[lane][1] for shifted in beside]) for lane in curves}
     return {
-        lane: (curve, _quality(curve, *nodes[lane], between[lane][0], error, wrap)) for lane, curve in curves.items()
+        lane: (curve, _quality(curve, *nodes[lane], of_lane[lane], between[lane][0], error, wrap))
+        for lane, curve in curves.items()
     }
 
 
 def _unknown(curve: InvariantCurve) -> CurveQuality:
     count, d = curve.points.shape
-    return CurveQuality(False, np.nan, np.nan, np.nan, np.full((count, d, d), np.nan))
+    none = np.full((count, d, d), np.nan)
+    return CurveQuality(False, np.nan, np.nan, np.nan, none, np.nan, none)
 
 
 def _quality(
     curve: InvariantCurve,
     image: Float[np.ndarray, "N d"],
     matrices: Float[np.ndarray, "N d d"],
+    beside: Float[np.ndarray, "d N d d"],
     image_between: Float[np.ndarray, "N d"],
     error: Float[np.ndarray, " d"] | float,
     wrap: Wrap,
@@ -308,14 +329,39 @@ def _quality(
     halfway = _nodes(count) + 0.5 / count
     between = wrap(curve.at(halfway + curve.rotation) - image_between) / size
     if not (np.isfinite(between).all() and np.isfinite(matrix).all()):
-        return CurveQuality(False, np.nan, np.nan, np.nan, matrices)
-    unit = np.zeros(len(missing))
-    unit[-1] = 1.0
-    row = np.abs(_least_squares(matrix.T, unit)[:-1]).reshape(between.shape)
+        return _unknown(curve)
     rounding = 8.0 * np.finfo(float).eps * (1.0 + np.max(np.abs(curve.points), axis=0) / size)
     missed = np.maximum(np.abs(between), np.abs(missing[:-1].reshape(between.shape)))
-    rotation_error = float(np.sum(row * (missed + (error / size + rounding))))
-    return CurveQuality(True, rotation_error, float(np.max(np.abs(between))), _decay(curve), matrices)
+    bounds = missed + (error / size + rounding)
+    unit = np.zeros(len(missing))
+    unit[-1] = 1.0
+    rotation_error = _response(matrix, unit, bounds)
+    slopes = (beside - matrices) / _SHIFT
+    with np.errstate(invalid="ignore"):
+        volume = np.trace(np.linalg.pinv(matrices) @ slopes, axis1=2, axis2=3).T / count
+    volume_error = _response(matrix, np.append(volume.ravel(), 0.0), bounds) if np.isfinite(volume).all() else np.inf
+    displaced = matrices
+    if curve.points.shape[1] > 2 and np.isfinite(slopes).all():
+        displaced = matrices + np.einsum("nj,jnab->nab", _displacement(matrix, bounds), slopes)
+    residual = float(np.max(np.abs(between)))
+    return CurveQuality(True, rotation_error, residual, _decay(curve), matrices, volume_error, displaced)
+
+
+def _response(
+    matrix: Float[np.ndarray, "n n"], gradient: Float[np.ndarray, " n"], bounds: Float[np.ndarray, "N d"]
+) -> float:
+    """Return the largest change of a quantity with a gradient in the unknowns, by errors of the equations in bounds."""
+    return float(np.abs(_least_squares(matrix.T, gradient)[:-1]) @ bounds.ravel())
+
+
+def _displacement(matrix: Float[np.ndarray, "n n"], bounds: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "N d"]:
+    """Return about how far errors of the equations in bounds displace the curve at most, in sizes.
+
+    By a step of inverse iteration: beside a fold of tori one direction is told far less than all others.
+    """
+    weakest = _least_squares(matrix.T, _least_squares(matrix, np.append(bounds.ravel(), 0.0)))[:-1]
+    worst = np.where(weakest < 0.0, -1.0, 1.0) * bounds.ravel()
+    return _least_squares(matrix, np.append(worst, 0.0))[:-1].reshape(bounds.shape)
 
 
 def _decay(curve: InvariantCurve) -> float:
@@ -326,41 +372,3 @@ def _decay(curve: InvariantCurve) -> float:
     if len(k) < 4:
         return np.nan
     return float(-np.polyfit(k, np.log(tail[: len(k)]), 1)[0])
-
-
-def normal_growth(
-    curve: InvariantCurve, matrices: Float[np.ndarray, "N d d"], k: int, length: int, error: float
-) -> tuple[Float[np.ndarray, " k-1"], Float[np.ndarray, " k-1"]]:
-    """Return the growth of the logarithm of lengths normal to the curve, an iterate, largest first, and its errors.
-
-    Along the curve it is zero. Of two directions the other one has the mean of log |det ∂P/∂u|. Of more, frames go
-    along the orbit θ + nρ, with derivatives between the nodes by their trigonometric polynomial, and the growth
-    nearest to zero is that along the curve; what it differs by is part of the errors.
-
-    Args:
-        matrices: ∂P/∂u at the nodes.
-        k: directions, as many as the flow has exponents on its section.
-        length: points of the orbit that are averaged over; a quarter more come before.
-        error: of the derivatives, relative to their size.
-    """
-    count, d, _ = matrices.shape
-    scaled = matrices * curve.size / curve.size[:, None]
-    values = np.linalg.svd(scaled, compute_uv=False)
-    by_map = (error + 8.0 * np.finfo(float).eps) * np.mean(values[:, 0] / np.maximum(values[:, k - 1], _TINY))
-    if d == k == 2:
-        logs = np.log(np.abs(np.linalg.det(scaled)))
-        spectrum = np.abs(np.fft.rfft(logs)) / count
-        return np.array([np.mean(logs)]), np.array([np.max(spectrum[-(count // 8) :]) + by_map])
-    coefficients = np.fft.rfft(scaled.reshape(count, d * d), axis=0) / count
-    theta = curve.rotation * np.arange(-(length // 4), length)
-    along = _polynomial(coefficients, theta).reshape(-1, d, d)
-    frame = np.linalg.qr(np.random.default_rng(0).normal(size=(d, k)))[0]
-    logs = np.empty((k, len(along)))
-    for n, matrix in enumerate(along):
-        frame, triangle = np.linalg.qr(matrix @ frame)
-        with np.errstate(divide="ignore"):
-            logs[:, n] = np.log(np.abs(np.diagonal(triangle)))
-    average = birkhoff_average(logs[:, length // 4 :])
-    tangent = np.argmin(np.abs(average.value))
-    missed = np.abs(average.value[tangent]) + by_map
-    return np.delete(average.value, tangent), np.delete(average.error, tangent) + missed

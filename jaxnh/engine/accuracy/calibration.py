@@ -179,7 +179,8 @@ class Calibration:
             before = math.inf
             while 0.0 < self._target < self.floor <= 0.5 * before:
                 before = self.floor
-                self._split_unit()
+                if not self._split_unit():  # an infinite floor is never less than before
+                    break
         except AccuracyError:
             return False
         return True

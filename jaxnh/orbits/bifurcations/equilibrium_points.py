@@ -25,7 +25,7 @@ from jaxnh.orbits.bifurcations.codimension_two import (
 )
 from jaxnh.orbits.bifurcations.location import NODES, roots
 from jaxnh.orbits.continuation import core
-from jaxnh.orbits.continuation.core import FINE, Solution
+from jaxnh.orbits.continuation.core import FINE, Evaluation, Solution
 from jaxnh.orbits.continuation.curves import Curve
 from jaxnh.orbits.continuation.equilibrium_curves import (
     CriticalEquilibria,
@@ -44,9 +44,23 @@ _NARROWER = 64  # from round to round, where the polynomial has a sharp root
 _SHARP = 0.05  # of the width of the nodes
 _LEAST = 1e-9  # of a chord, the narrowest width
 _FLOOR = 16 * np.finfo(float).eps  # of widths and values: rounding of the unknowns, that all nodes have in common
+_ENLARGED = 2.0**16  # rounding of the equations, for what it does to be seen beside itself
+_WIDE = 1e-2  # of a chord, the width of nodes then
 _BEGUN = 1e-9  # κ in its unit: Hopf points that are Bogdanov–Takens points are below
 
 TestFunction = Callable[[Solution], Float[np.ndarray, " lanes"]]
+
+
+class _RoundedEquations(EigenvectorEquations):
+    """The equations with a residual that is off."""
+
+    def __init__(self, plane: FieldPlane, kind: int, off: Float[np.ndarray, " rows"]) -> None:
+        super().__init__(plane, kind)
+        self._off = off
+
+    def evaluate(self, z: Float[np.ndarray, "lanes N"], /) -> Evaluation:
+        at = super().evaluate(z)
+        return at._replace(residual=at.residual + self._off)
 
 
 class EquilibriumPoint(NamedTuple):
@@ -54,7 +68,7 @@ class EquilibriumPoint(NamedTuple):
 
     Attributes:
         point: its kind, parameters, equilibrium, and eigenvalues in place of multipliers.
-        error: of both parameters, from rounding and interpolation, (2,).
+        error: of both parameters, from rounding of the equations and interpolation, (2,).
         solution: on the curve, one lane.
     """
 
@@ -188,7 +202,7 @@ def _locate(plane: FieldPlane, curve: Curve, kind: int, test: TestFunction, plac
         shares = centre + half * NODES
         nodes = _at_shares(plane, curve.kind, track, shares)
         if not nodes.converged.all():
-            return best and best[0]
+            break
         with np.errstate(all="ignore"):
             tests = test(nodes)
         values = EigenvectorEquations(plane, curve.kind).split(nodes.z).values
@@ -202,8 +216,7 @@ def _locate(plane: FieldPlane, curve: Curve, kind: int, test: TestFunction, plac
                 break
             at = curve_of(plane, curve.kind, solution, curve.ends)
             special = Special(kind, value, place, at.points[0], at.multipliers[0])
-            rounding = _FLOOR * (plane.width + np.abs(value))
-            best = EquilibriumPoint(special, error + rounding, solution), error
+            best = EquilibriumPoint(special, error, solution), error, share
             centre, half = share, half / _NARROWER
         else:
             changes = np.flatnonzero(np.signbit(tests[1:]) != np.signbit(tests[:-1]))
@@ -213,9 +226,46 @@ def _locate(plane: FieldPlane, curve: Curve, kind: int, test: TestFunction, plac
             centre, half = float(pair.mean()), 0.6 * abs(float(np.diff(pair)[0]))
         if half < _LEAST:
             break
-    return best and best[0]
+    if best is None:
+        return None
+    point, _, share = best
+    return point._replace(error=point.error + _rounding(plane, curve.kind, test, track, point, share))
 
 
-def _at_shares(plane: FieldPlane, kind: int, track: Solution, shares: Float[np.ndarray, " lanes"]) -> Solution:
-    """Points of a curve in the hyperplanes across the chord between two of its own, at shares of it."""
-    return core.correct(EigenvectorEquations(plane, kind), *across_chord(track.z, track.way, shares), FINE)
+def _rounding(
+    plane: FieldPlane, kind: int, test: TestFunction, track: Solution, point: EquilibriumPoint, share: float
+) -> Float[np.ndarray, " 2"]:
+    """Return what rounding does to a point at a share of a chord, at most.
+
+    The last digits of the unknowns leave each equation off by what its derivatives make of them: where a coordinate is
+    large beside what it changes by, as of a distant origin, that is far more than the last digits of the parameters.
+    All nodes have it in common, so that their polynomial does not show it.
+    """
+    at = EigenvectorEquations(plane, kind).evaluate(point.solution.z)
+    off = np.finfo(float).eps * np.abs(at.slopes[0]) @ np.abs(point.solution.z[0])
+    shares, known, error = share + _WIDE * NODES, None, np.zeros(2)
+    for shifts in [np.zeros_like(off), *np.diag(_ENLARGED * off)]:
+        nodes = _at_shares(plane, kind, track, shares, shifts)
+        with np.errstate(all="ignore"):
+            tests, values = test(nodes), EigenvectorEquations(plane, kind).split(nodes.z).values
+        _, _, value, _, _ = roots(np.repeat(tests[None], 2, axis=0), np.ascontiguousarray(values.T))
+        known = value if known is None else known
+        error += np.abs(value - known) / _ENLARGED
+    floor = _FLOOR * (plane.width + np.abs(point.point.values))
+    return floor + np.where(np.isfinite(error), error, np.inf)
+
+
+def _at_shares(
+    plane: FieldPlane,
+    kind: int,
+    track: Solution,
+    shares: Float[np.ndarray, " lanes"],
+    off: Float[np.ndarray, " rows"] | None = None,
+) -> Solution:
+    """Points of a curve in the hyperplanes across the chord between two of its own, at shares of it.
+
+    Args:
+        off: what each equation is off by; by default nothing.
+    """
+    equations = EigenvectorEquations(plane, kind) if off is None else _RoundedEquations(plane, kind, off)
+    return core.correct(equations, *across_chord(track.z, track.way, shares), FINE)
