@@ -80,6 +80,7 @@ def test_sizes_where_all_lanes_rest(lanes, transient):
     assert not period.any()
     assert motion_unit([batch], lanes, period, sizes, BOX) == pytest.approx(1.2)
     assert motion_unit([batch], lanes, period, sizes, {}) == pytest.approx(0.1)
+    assert motion_unit([batch], lanes, period[:0], sizes[:0], BOX) == pytest.approx(1.2)  # of equilibria alone
     given = replace(batch, given_sizes={"x": 3.0})
     assert motion_unit([given], lanes, period, sizes, BOX) == pytest.approx(3.0)
     assert search_unit(given, lanes, np.ones(1), {"x": (0.2, 7.0)}) == pytest.approx(3.0)

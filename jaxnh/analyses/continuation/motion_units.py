@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.periodic.attractor_survey import Survey, extent, least_sizes, radian
@@ -68,11 +68,22 @@ def motion_unit(
     with np.errstate(invalid="ignore"):
         bounded = np.any(sizes > _LEAST * starts, axis=1) & np.all(sizes < _ESCAPED * starts, axis=1)
     moving = ((period > 0) | bounded) & np.isfinite(sizes).all(axis=1)
+    unit = np.nanmedian(_without_vanishing(batches, lanes, sizes, moving), axis=0) if moving.any() else starts
+    return _given_or(batches[0], unit if np.any(moving & (period > 0)) else np.maximum(unit, starts))
+
+
+def _without_vanishing(
+    batches: Sequence[LaneBatch],
+    lanes: LaneRunner,
+    sizes: Float[np.ndarray, "lanes d"],
+    moving: Bool[np.ndarray, " lanes"],
+) -> Float[np.ndarray, "moving d"]:
+    """Return the sizes of lanes that move, NaN of a coordinate that vanishes unless it does in all of them."""
+    if batches[0].chart.dimensionless:  # sizes are one
+        return sizes[moving]
     smallest = np.concatenate([least_sizes(batch, lanes) for batch in batches])
     present = np.where(sizes > _VANISHES * smallest, sizes, np.nan)[moving]
-    counted = np.where(np.isfinite(present).any(axis=0), present, sizes[moving])
-    unit = np.nanmedian(counted, axis=0) if moving.any() else starts
-    return _given_or(batches[0], unit if np.any(moving & (period > 0)) else np.maximum(unit, starts))
+    return np.where(np.isfinite(present).any(axis=0), present, sizes[moving])
 
 
 def search_unit(

@@ -20,6 +20,7 @@ _PILOT_LANES, _PILOT_PARTS, _PILOT_PERIODS = 64, 16, 4
 _TANGENT_ERROR = 1e-4  # of the logarithm of a tangent's growth a period, and of its modulus where that is above one
 _TANGENT_ERRORS = 100.0  # or so many times the error of the map, of a coarse target
 _MOST_REFINED = 16
+_AT_REST = math.log(1e-6)  # of a lane's speed: of less, the direction is soon rounding
 _LOOKS = 64  # stretches of motion, at least, over which tangents of two numbers of steps are compared
 
 
@@ -93,7 +94,8 @@ def refinement_needed(
 
     Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
     its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
-    chaos parts do not count; of a processed method period by period, as between its ends are states of another map.
+    chaos parts do not count, nor does a lane once it has come to rest; of a processed method period by period, as
+    between its ends are states of another map.
     """
     if not batch.target:
         return 1
@@ -123,11 +125,16 @@ def refinement_needed(
                 (few_steps[i : i + span], many_steps[2 * i : 2 * (i + span)], 1, 1) for i in range(0, count, span)
             ]
         now, apart, whole = growth, *np.zeros((2, 1, 1))
+        fallen, moves = np.zeros(few.count), np.ones(few.count, bool)
         for once_through, twice_through, once_each, twice_each in stretches * periods:
             _, once, _ = grown(now, once_through, once_each)
             now, twice, moduli = grown(now, twice_through, twice_each)
             with np.errstate(invalid="ignore"):  # of a tangent that has vanished in both
-                apart, whole = apart + once - twice, whole + moduli
+                apart = apart + np.where(moves[:, None], once - twice, 0.0)
+                whole = whole + np.where(moves[:, None], moduli, 0.0)
+            if batch.flow.autonomous:  # the first is the growth along the flow
+                fallen += np.nan_to_num(twice[:, 0])
+                moves &= fallen > _AT_REST
         apart, whole = (np.abs(values[:, :followed]) / periods for values in (apart, whole))
         short = apart > enough * np.maximum(whole, 1.0)
         if not np.any(short & np.isfinite(apart)):
