@@ -94,7 +94,7 @@ def refinement_needed(
 
     Steps that meet the target in states may be far from it in tangents, where these contract by more in one step than
     its polynomial can follow. Measured on lanes across the sweep, part by part from one state each, so that paths that
-    chaos parts do not count, nor does a lane once it has come to rest; of a processed method period by period, as
+    chaos parts do not count, nor does a lane while it is at rest; of a processed method period by period, as
     between its ends are states of another map.
     """
     if not batch.target:
@@ -134,7 +134,7 @@ def refinement_needed(
                 whole = whole + np.where(moves[:, None], moduli, 0.0)
             if batch.flow.autonomous:  # the first is the growth along the flow
                 fallen += np.nan_to_num(twice[:, 0])
-                moves &= fallen > _AT_REST
+                moves = fallen > _AT_REST
         apart, whole = (np.abs(values[:, :followed]) / periods for values in (apart, whole))
         short = apart > enough * np.maximum(whole, 1.0)
         if not np.any(short & np.isfinite(apart)):
