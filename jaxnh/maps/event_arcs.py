@@ -226,6 +226,8 @@ def _heights_and_rates(
     """Heights of walls and surfaces and their rates along a branch of the field."""
     along = flow.branch(t, state, own, sides)
     height, rate = jax.jvp(
-        lambda t, y: jnp.stack(flow.heights(t, y, own)), (jnp.asarray(t, float), state), (jnp.ones_like(t), along)
+        lambda t, y: jnp.stack(flow.heights(t, y, own, sides)),
+        (jnp.asarray(t, float), state),
+        (jnp.ones_like(t), along),
     )
     return height, rate

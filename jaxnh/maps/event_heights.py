@@ -6,7 +6,7 @@ of the field, and are compiled for a minute; of a vector they are eighty.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -27,10 +27,34 @@ def numbers_of(system: PiecewiseSmooth) -> tuple[Any, ...]:
     return (jnp.arange(count, dtype=jnp.int32),) if system.many_surfaces else tuple(range(count))
 
 
-def heights_of(system: PiecewiseSmooth, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> Heights:
-    """Heights of a state."""
-    heights = system.heights(t, y, p)
+def heights_of(
+    system: PiecewiseSmooth, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: Heights | None = None
+) -> Heights:
+    """Heights of a state; those that leap as they are continued on sides."""
+    heights = system.heights(t, y, p, sides and separate_sides(system, sides))
     return (jnp.stack(heights),) if system.many_surfaces else heights
+
+
+def sides_after_leaps(
+    system: PiecewiseSmooth,
+    t: ArrayLike,
+    y: PiecewisePoint,
+    p: Parameters,
+    sides: Heights,
+    met: Callable[[int], Array],
+) -> Heights:
+    """Sides after an event past which heights leap: theirs are by where they have come to.
+
+    Args:
+        sides: after the event, of what it is on and of all whose heights do not leap.
+        met: whether the event is on the wall or surface with a number.
+    """
+    leapt = [any_of([met(k) for k in others]) if others else jnp.bool_(False) for others in system.leaps]
+    heights = heights_of(system, t, y, p, sides)
+    return tuple(
+        jnp.where(now, jnp.where(height >= 0.0, 1.0, -1.0), side)
+        for now, height, side in zip([jnp.stack(leapt)] if system.many_surfaces else leapt, heights, sides, strict=True)
+    )
 
 
 def separate_sides(system: PiecewiseSmooth, sides: Heights) -> tuple[Number, ...]:

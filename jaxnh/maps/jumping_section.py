@@ -46,9 +46,11 @@ class _WithSection(PiecewiseSmooth):
     as_it_is: PiecewiseSmooth
     section: Section
 
-    def heights(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
+    def heights(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...] | None = None
+    ) -> tuple[Number, ...]:
         """Heights of the flow, then that above the section."""
-        return *self.as_it_is.heights(t, y, p), self.section.smooth_height(y)
+        return *self.as_it_is.heights(t, y, p, sides and sides[:-1]), self.section.smooth_height(y)
 
     def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """Time derivative of a state by a branch of the field of the flow."""
@@ -264,5 +266,12 @@ def _with_section(section: Section) -> _WithSection:
     flow: Any = section.flow
     parts = {field.name: getattr(flow, field.name) for field in dataclasses.fields(PiecewiseSmooth)}
     return _WithSection(
-        **{**parts, "switches": flow.switches + 1, "holds": (*flow.holds, False)}, as_it_is=flow, section=section
+        **{
+            **parts,
+            "switches": flow.switches + 1,
+            "holds": (*flow.holds, False),
+            "leaps": (*flow.leaps, ()) if flow.leaps else (),
+        },
+        as_it_is=flow,
+        section=section,
     )

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from jaxnh.maps.event_heights import Heights, any_of, heights_of, numbers_of, pick, separate_sides
+from jaxnh.maps.event_heights import Heights, any_of, heights_of, numbers_of, pick, separate_sides, sides_after_leaps
 from jaxnh.maps.general_flow import Moving, linearise, linearise_all
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
@@ -113,7 +113,7 @@ class EventPassage:
         """Field, heights and rates of a lane that is on these sides of walls and surfaces."""
         system, state = self.system, moving.state
         field = system.branch(t, state, self.own, separate_sides(system, sides))
-        height, rate = self._rising(system, jnp.asarray(t), state, self.own, field)
+        height, rate = self._rising(system, jnp.asarray(t), state, self.own, field, sides if system.leaps else None)
         if system.holding:
             release, change = jax.jvp(
                 lambda z, t: system.held(t, z, self.own, sides).release,
@@ -186,6 +186,8 @@ class EventPassage:
         heights = heights_of(self.system, end.t, after, self.own) if self._changes else end.height
         changes = jumps if begins is None else jumps | begins
         new_sides = self._crossed(end.height, heights, sides, arrival, changes)
+        if self.system.leaps:
+            new_sides = sides_after_leaps(self.system, end.t, after, self.own, new_sides, arrival.at)
         left: Heights = ()
         if holding:
             new_sides, left = self._hold(end, after, sides, new_sides, arrival, jumps)
@@ -358,9 +360,14 @@ class EventPassage:
 
 
 def _heights_with_rates(
-    system: PiecewiseSmooth, t: Array, state: PiecewisePoint, own: Parameters, field: PiecewisePoint
+    system: PiecewiseSmooth,
+    t: Array,
+    state: PiecewisePoint,
+    own: Parameters,
+    field: PiecewisePoint,
+    sides: Heights | None,
 ) -> tuple[Heights, Heights]:
-    return jax.jvp(lambda z, t: heights_of(system, t, z, own), (state, t), (field, jnp.ones_like(t)))
+    return jax.jvp(lambda z, t: heights_of(system, t, z, own, sides), (state, t), (field, jnp.ones_like(t)))
 
 
 def side_from(height: Array, rate: Array, near: Array, otherwise: Array) -> Array:

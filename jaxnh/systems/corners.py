@@ -24,14 +24,11 @@ from jaxnh.systems.straight_pieces import (
     is_real,
     written_in_pieces,
 )
-from jaxnh.systems.surface_probes import probe_surfaces
+from jaxnh.systems.surface_probes import probe_field
 from jaxnh.systems.tracing import KnownValue, Program, Slot, Step
-from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL, pointwise
+from jaxnh.systems.user_functions import pointwise
 
 _CONTINUOUS = ("abs", "max", "min", "clamp", "reduce_max", "reduce_min", "sort")
-_ABOVE_ZERO = 1e-300  # of a factor that is zero on a surface, to keep the sign there
-_PROBES = 16  # random states at a time, for each surface
-_ROUNDS = 4  # of them, where a surface shows no part in the field: of its states a quarter may
 
 Read = Slot | KnownValue
 
@@ -43,15 +40,14 @@ class Surface(NamedTuple):
         above, below: the values.
         element: of their arrays.
         at_integers: whether it is every integer, and not zero alone.
-        floored: numbers whose largest integers from below the difference depends on. It leaps where one of them is an
-            integer, and may leap past zero: such a place is on the surface as well.
+        leaps_on: numbers of the surfaces of floor past which the difference leaps, and its sign with it.
     """
 
     above: Read
     below: Read | None
     element: int
     at_integers: bool = False
-    floored: tuple[Slot, ...] = ()
+    leaps_on: tuple[int, ...] = ()
 
 
 class PiecewiseField:
@@ -63,13 +59,17 @@ class PiecewiseField:
         pushes: across which surfaces the field jumps by what moves the surface's own coordinates.
     """
 
-    def __init__(self, define: Callable[..., Definition], parameters: Mapping[str, float]) -> None:
+    def __init__(
+        self, define: Callable[..., Definition], parameters: Mapping[str, float], *, leaping: bool = True
+    ) -> None:
         """Trace the right-hand side of a definition, all in double precision.
 
         Args:
             define: parameters to a definition with `rhs`.
             parameters: their defaults, near which branches are compared.
+            leaping: whether surfaces are placed whose height leaps, as that of a comparison with a sawtooth.
         """
+        self._leaping = leaping
         y = (0.0,) * len(define(**parameters)["coordinates"])
         self._program = program = Program(
             lambda p, y, t: define(**p)["rhs"](y, t), dict(parameters), y, 0.0, written_out=written_in_pieces
@@ -85,9 +85,12 @@ class PiecewiseField:
             self.surfaces, self._sides = [], {}
         self.attracts = self.pushes = np.zeros(0, bool)
         if self.surfaces:
-            part, attracts, pushes, sides = self._probed(parameters)
-            self.attracts, self.pushes = attracts[part], pushes[part]
-            self._drop(~part, sides)
+            seen = probe_field(self.heights, self.rates, parameters, len(y), len(self.surfaces))
+            part = seen.part.copy()
+            for surface, has_part in zip(self.surfaces, seen.part, strict=True):
+                part[list(surface.leaps_on)] |= has_part
+            self.attracts, self.pushes = seen.attracts[part], seen.pushes[part]
+            self._drop(~part, seen.sides)
 
     def rates(self, p: Mapping[str, Any], y: tuple[Any, ...], t: Any, sides: tuple[Any, ...]) -> Any:
         """Rates by one branch.
@@ -103,15 +106,36 @@ class PiecewiseField:
         """Height of a state above a surface."""
         return self._heights([self.surfaces[number]], p, y, t)[0]
 
-    def heights(self, p: Mapping[str, Any], y: tuple[Any, ...], t: Any) -> tuple[Any, ...]:
-        """Heights of a state above all surfaces; what they share is computed once."""
-        return self._heights(self.surfaces, p, y, t)
+    def heights(
+        self, p: Mapping[str, Any], y: tuple[Any, ...], t: Any, sides: tuple[Any, ...] | None = None
+    ) -> tuple[Any, ...]:
+        """Heights of a state above all surfaces; what they share is computed once.
+
+        Args:
+            sides: those that floor is read on, where heights do not leap.
+        """
+        return self._heights(self.surfaces, p, y, t, sides)
+
+    @property
+    def leaps(self) -> tuple[tuple[int, ...], ...]:
+        """The surfaces past which the height above each leaps."""
+        return tuple(surface.leaps_on for surface in self.surfaces)
 
     def _heights(
-        self, surfaces: Sequence[Surface], p: Mapping[str, Any], y: tuple[Any, ...], t: Any
+        self,
+        surfaces: Sequence[Surface],
+        p: Mapping[str, Any],
+        y: tuple[Any, ...],
+        t: Any,
+        sides: tuple[Any, ...] | None = None,
     ) -> tuple[Any, ...]:
-        reads = [read for surface in surfaces for read in (*surface[:2], *surface.floored) if read is not None]
-        values = self._values(p, y, t, self._program.needed(reads))
+        needed = self._program.needed([read for surface in surfaces for read in surface[:2] if read is not None])
+        floors = [
+            step
+            for step in self._program.steps
+            if sides is not None and step.equation.primitive.name == "floor" and step.makes[0] in self._sides
+        ]
+        values = self._values(p, y, t, needed, {step.makes[0]: self._branch(step, sides or ()) for step in floors})
         return tuple(_height(surface, values) for surface in surfaces)
 
     # ---- surfaces
@@ -119,11 +143,11 @@ class PiecewiseField:
     def _place_all(self) -> None:
         """Note the surfaces of all equations that change with the motion.
 
-        What comes after floor is constant on an arc where nothing else of it moves. Where something does, the places
-        at which floor leaps are on its surfaces. Surfaces of what jumps in another way are left to the steps.
+        What comes after floor is constant on an arc where nothing else of it moves. Where something does, its surfaces
+        leap with floor. Surfaces of what jumps in another way are left to the steps.
         """
         leaping, glides = set[Slot](), set[Slot](self._program.inputs)
-        floored: dict[Slot, frozenset[Slot]] = {}
+        floors: dict[Slot, frozenset[int]] = {}
         for step in self._program.steps:
             if self._needed.isdisjoint(step.makes) or not self._moves[step.makes[0]]:
                 continue
@@ -131,21 +155,22 @@ class PiecewiseField:
                 step.equation.primitive.name,
                 {each for each in step.reads if not isinstance(each, KnownValue)},
             )
-            before = frozenset[Slot]().union(*(floored.get(slot, ()) for slot in reads))
+            before = frozenset[int]().union(*(floors.get(slot, ()) for slot in reads))
             corner, leaps, moves = name in OPERANDS and is_real(step.equation), reads & leaping, reads & glides
-            floors = corner and name == "floor" and not step.equation.outvars[0].aval.shape
-            placed = corner and moves and not leaps and not (name == "floor" and (before or not floors))
+            floored = corner and name == "floor" and not step.equation.outvars[0].aval.shape
+            placed = corner and moves and not leaps and not (before and not self._leaping)
+            placed = placed and not (name == "floor" and (before or not floored))
             if placed:
                 self._place(step, tuple(sorted(before)))
-            if floors and placed:
-                before |= reads
-            elif not floors or moves:
+            if floored and placed:
+                before |= {number for number, _ in self._sides[step.makes[0]][0]}
+            elif not floored or moves:
                 glides |= set(step.makes) if moves else set()
                 if leaps or (moves and (corner or name in WITHOUT_SURFACE) and name not in _CONTINUOUS):
                     leaping |= set(step.makes)
-            floored |= dict.fromkeys(step.makes, before)
+            floors |= dict.fromkeys(step.makes, before)
 
-    def _place(self, step: Step, floored: tuple[Slot, ...]) -> None:
+    def _place(self, step: Step, leaps_on: tuple[int, ...]) -> None:
         """Note the surfaces of an equation."""
         count = int(np.prod(step.equation.outvars[0].aval.shape))
         integers = step.equation.primitive.name == "floor"
@@ -155,7 +180,7 @@ class PiecewiseField:
             sign = 1.0
             if count == 1 and not integers:
                 above, below, sign = self._ordered(above, below)
-            surfaces = [Surface(above, below, element, integers, floored) for element in range(count)]
+            surfaces = [Surface(above, below, element, integers, leaps_on) for element in range(count)]
             sides.append([(self._number(surface), sign) for surface in surfaces])
         self._sides[step.makes[0]] = sides
 
@@ -205,60 +230,14 @@ class PiecewiseField:
             self._program.run(values, lambda step: not depends[step.makes[0]])
         return values
 
-    def _probed(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, ...]:
-        """Return which surfaces have a part in the field, along which motions may slide, and which push, (surfaces,).
-
-        And the side of each that most states are on: of a surface that is touched alone, all of them.
-
-        The field is not one function on both sides of the first; it may push towards the others from both sides.
-        Random states and times go to each surface by Newton. A little beside it, on either side, the field is compared
-        with that of the other side. A surface that is touched alone, as r = 0, has none; one that is not reached, or
-        beside which nothing is finite, stays. Surfaces where none is seen are probed anew: of five numbers two that are
-        equal are the least of all in a quarter of all states.
-        """
-        draws, count = np.random.default_rng(0), len(self.surfaces)
-        heights = jax.jit(self._heights_with_slopes, compiler_options=COMPILED_FOR_ONE_CALL)
-        rates = jax.jit(pointwise(self._rates_with_time), compiler_options=COMPILED_FOR_ONE_CALL)
-        reached, *seen = np.zeros((4, count), bool)
-        above = np.zeros(count)
-        for _ in range(_ROUNDS):
-            shape = (_PROBES, count)
-            p = {
-                name: value + (0.1 * abs(value) + 0.1) * draws.uniform(-1.0, 1.0, shape)
-                for name, value in parameters.items()
-            }
-            z = draws.uniform(-2.0, 2.0, (len(self._program.inputs) - len(p), *shape))
-            above += np.sum(np.asarray(heights(p, tuple(z))[0]) >= 0.0, axis=(1, 2)) - 0.5 * z[0].size
-            there, *more = probe_surfaces(
-                lambda z, p=p: heights(p, tuple(z)), lambda z, side, p=p: rates(p, z, side), z
-            )
-            unknown, reached = ~seen[0], reached | there
-            seen = [before | (other & unknown) for before, other in zip(seen, more, strict=True)]
-            if np.all(seen[0] | ~reached):
-                break
-        differs, attracts, pushes = seen
-        return differs | ~reached, attracts, pushes, np.where(above >= 0.0, 1.0, -1.0)
-
-    def _heights_with_slopes(self, p: Mapping[str, Any], z: tuple[Any, ...]) -> tuple[Any, list[Any]]:
-        """Heights above all surfaces at (y, t) of any shape, and their derivatives in each of these numbers."""
-
-        def of_one(p: Mapping[str, Any], z: Any) -> tuple[Any, Any]:
-            heights, change = jax.linearize(lambda z: jnp.stack(self.heights(p, tuple(z[:-1]), z[-1])), z)
-            return heights, jax.vmap(change)(jnp.eye(len(z)))
-
-        shape, count = jnp.shape(z[0]), len(self.surfaces)
-        numbers = {name: jnp.ravel(value) for name, value in p.items()}
-        height, slopes = jax.vmap(of_one)(numbers, jnp.stack([jnp.ravel(x) for x in z], axis=-1))
-        return height.T.reshape(count, *shape), [slopes[:, j].T.reshape(count, *shape) for j in range(len(z))]
-
-    def _rates_with_time(self, p: Mapping[str, Any], z: tuple[Any, ...], sides: tuple[Any, ...]) -> list[Any]:
-        return list(self.rates(p, z[:-1], z[-1], sides))
-
     def _drop(self, unused: np.ndarray, sides: np.ndarray) -> None:
         """Leave surfaces out, on these sides, and equations all of whose surfaces are left out as they are."""
         kept = [k for k in range(len(self.surfaces)) if not unused[k]]
         number = {k: i for i, k in enumerate(kept)}
-        self.surfaces = [self.surfaces[k] for k in kept]
+        self.surfaces = [
+            surface._replace(leaps_on=tuple(number[i] for i in surface.leaps_on))
+            for surface in map(self.surfaces.__getitem__, kept)
+        ]
         self._sides = {
             slot: [[(number[k], sign) if k in number else (-1, sign * sides[k]) for k, sign in pair] for pair in pairs]
             for slot, pairs in self._sides.items()
@@ -325,7 +304,8 @@ def with_switches(define: Callable[..., Definition], parameters: Mapping[str, fl
                 {"on": pointwise(lambda y, t, k=k: field.height(k, p, y, t)), "sliding": bool(slides)}
                 for k, slides in enumerate(field.attracts)
             ),
-            "heights": pointwise(lambda y, t: field.heights(p, y, t)),
+            "heights": pointwise(lambda y, t, *side: field.heights(p, y, t, *side)),
+            **({"leaps": field.leaps} if any(field.leaps) else {}),
         }
 
     return with_switches
@@ -354,7 +334,7 @@ def forces_with_switches(
         return {"coordinates": (0.0,) * (k + n), "rhs": lambda y, t: (*still, *forces(y[:k], y[k:], t))}
 
     with jax.enable_x64(True):
-        field = PiecewiseField(as_field, parameters)
+        field = PiecewiseField(as_field, parameters, leaping=False)
     if not field.surfaces:
         return define
 
@@ -377,8 +357,6 @@ def _height(surface: Surface, values: Mapping[Slot, Any]) -> Any:
     value = jnp.ravel(value)[surface.element] if jnp.ndim(value) else value
     if surface.at_integers:
         value = jnp.sin(jnp.pi * value)
-    for slot in surface.floored:
-        value *= jnp.sin(jnp.pi * (values[slot] - jnp.floor(values[slot]))) + _ABOVE_ZERO
     return value
 
 

@@ -65,12 +65,15 @@ class PiecewiseSmooth(FirstOrder):
         switches: number of surfaces where the field changes.
         holds: for each wall, whether motions may rest on it, and for each surface, whether they may slide along it.
         forgets: whether a jump takes different states to the same one, as one that sets a coordinate does.
+        leaps: for each wall and surface those past which its height leaps, as of a comparison with a sawtooth; empty
+            where no height does.
     """
 
     jumps: tuple[str, ...] = eqx.field(static=True)
     switches: int = eqx.field(static=True)
     holds: tuple[bool, ...] = eqx.field(static=True)
     forgets: bool = eqx.field(static=True)
+    leaps: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
     @property
     def holding(self) -> bool:
@@ -102,8 +105,13 @@ class PiecewiseSmooth(FirstOrder):
         """Return for each wall and surface whether a constraint holds above it, and not below."""
         return (False,) * (len(self.jumps) + self.switches)
 
-    def heights(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
+    def heights(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...] | None = None
+    ) -> tuple[Number, ...]:
         """Heights of a state above the walls, which rise where they are passed (either way for "both"), and surfaces.
+
+        Args:
+            sides: of walls and surfaces, on which heights that leap are continued beyond where they do.
 
         Returns:
             A number for each jump, then for each switch, of the shape of a component.
@@ -111,7 +119,9 @@ class PiecewiseSmooth(FirstOrder):
         definition = self.definition(p)
         walls = [jump["when"](y.y, t) for jump in definition.get("jumps", ())]
         walls = [-wall if way == "down" else wall for wall, way in zip(walls, self.jumps, strict=True)]
-        if self.many_surfaces and "heights" in definition:
+        if self.leaps and sides is not None:
+            surfaces = definition["heights"](y.y, t, sides[len(self.jumps) :])
+        elif self.many_surfaces and "heights" in definition:
             surfaces = definition["heights"](y.y, t)
         else:
             surfaces = [switch["on"](y.y, t) for switch in definition.get("switches", ())]
@@ -275,7 +285,13 @@ def piecewise_smooth(
         len(definition.get("switches", ())),
         (*resting, *sliding),
         any(_forgets(jump["then"], len(definition["coordinates"])) for jump in definition.get("jumps", ())),
+        _leaps(len(jumps), definition.get("leaps", ())),
     )
+
+
+def _leaps(jumps: int, leaps: Sequence[tuple[int, ...]]) -> tuple[tuple[int, ...], ...]:
+    """The same by numbers of walls and surfaces."""
+    return (*((),) * jumps, *(tuple(jumps + k for k in each) for each in leaps)) if leaps else ()
 
 
 def _forgets(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: int) -> bool:

@@ -131,7 +131,9 @@ class SwitchedMechanics(PiecewiseSmooth):
 
     # ---- motion
 
-    def heights(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
+    def heights(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...] | None = None
+    ) -> tuple[Number, ...]:
         """Heights of a state above the walls, the surfaces of switches, and those of constraints that come and go."""
         definition, (q, v) = self.definition(p), self._split(t, y.y, p)
         walls = [jump["when"](q, v, t) for jump in definition.get("jumps", ())]
@@ -334,6 +336,7 @@ def switched_mechanics(
             *(False,) * len(switched),
         ),
         any("then" in jump for jump in jumps),
+        (),
         positions=k,
         ignorable=mechanics.ignorable,
         constraints=mechanics.constraints,

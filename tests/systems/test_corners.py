@@ -61,7 +61,7 @@ SURFACES = {
         2,
     ),
     "floor": (lambda y, t, a: (jnp.floor(y[0]) + jnp.mod(y[1], a) + jnp.round(y[2] - 0.1), t // 0.7, t % 3.0), 5),
-    "decided by what leaps": (lambda y, t, a: (jnp.where(jnp.mod(y[0] - t, 2.0) < a, y[1], 0.0), 0.0, 0.0), 1),
+    "decided by what leaps": (lambda y, t, a: (jnp.where(jnp.mod(y[0] - t, 2.0) < a, y[1], 0.0), 0.0, 0.0), 2),
     "decided by floor alone": (lambda y, t, a: (jnp.where(jnp.floor(y[0]) % 3 < 1, y[1], 0.0), 0.0, 0.0), 1),
     "a table": (lambda y, t, a: (jnp.interp(y[0], jnp.arange(4.0) - 1.5, jnp.arange(4.0) ** 2), 0.0, 0.0), 4),
     "within another": (lambda y, t, a: (jnp.abs(jnp.abs(y[0]) - a), 0.0, 0.0), 2),

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives
@@ -26,12 +27,12 @@ FORCES = {
     "a sawtooth": (lambda m, t: m.mod(t, 2.0) - 1.0, 1),
     "a sawtooth that falls": (lambda m, t: m.mod(-t, 1.3), 1),
     "a triangle": (lambda m, t: m.abs(m.mod(t, 2.0) - 1.0), 2),
-    "pulses": (lambda m, t: m.where(m.mod(t, 2.0) < 0.3, 5.0, 0.0), 1),
-    "pulses in the middle": (lambda m, t: m.where(m.abs(t % 2.0 - 1.0) < 0.17, 5.0, 0.0), 1),
+    "pulses": (lambda m, t: m.where(m.mod(t, 2.0) < 0.3, 5.0, 0.0), 2),
+    "pulses in the middle": (lambda m, t: m.where(m.abs(t % 2.0 - 1.0) < 0.17, 5.0, 0.0), 2),
     "every second one": (lambda m, t: m.where((m.mod(t, 1.0) < 0.4) & (t // 1.0 % 2 == 0), 3.0, 0.0), 2),
     "stairs": (lambda m, t: m.floor(t) - 2.0 * m.ceil(t / 1.7) + m.round(0.8 * t), 3),
     "a remainder with a sign": (lambda m, t: m.fmod(1.5 - t, 1.1), 1),
-    "a table that repeats": (lambda m, t: m.interp(t, PLACES[1:4:2] - 0.3, HEIGHTS[1:4:2], period=2.0), 3),
+    "a table that repeats": (lambda m, t: m.interp(t, PLACES[1:4:2] - 0.3, HEIGHTS[1:4:2], period=2.0), 5),
     "a table with ends": (lambda m, t: m.interp(t, PLACES[3:] + 0.5, HEIGHTS[3:], 2.0, -1.0), 2),
     "a table": (lambda m, t: m.interp(m.mod(t, 2.0), PLACES, HEIGHTS), 3),
 }
@@ -113,6 +114,61 @@ def test_derivatives_across_leaps():
     by_a = (exact((0.31, 0.9), 1.0 + h) - exact((0.31, 0.9), 1.0 - h)) / (2 * h)
     assert np.abs(np.asarray(d.monodromy) - np.array(columns).T).max() < 1e-7
     assert np.abs(np.asarray(d.by_parameter)[:, 0] - by_a).max() < 1e-7
+
+
+R, L, C, RAMP, GAIN = 22.0, 20e-3, 47e-6, 400e-6, 8.4
+
+
+def buck(vin=33.0):
+    """A converter of voltages (Deane and Hamill 1990): on where the gained error is below a ramp of 400 microseconds."""
+
+    def rhs(y, t):
+        v, i = y
+        on = jnp.where(GAIN * (v - 11.3) < 3.8 + 4.4 * (t % RAMP) / RAMP, 1.0, 0.0)
+        return (i - v / R) / C, (on * vin - v) / L
+
+    return {"rhs": rhs, "coordinates": ("v", "i"), "period": RAMP}
+
+
+def switched_exactly(y, vin):
+    """A ramp by exponentials of the linear equations between switchings, which are sought at 4,000 places."""
+    a = np.array([[-1.0 / (R * C), 1.0 / C], [-1.0 / L, 0.0]])
+    values, vectors = np.linalg.eig(a)
+    t, y = 0.0, np.array(y)
+    while t < RAMP:
+        on = GAIN * (y[0] + 1e-9 * (y[1] - y[0] / R) / C - 11.3) < 3.8 + 4.4 * (t + 1e-9) / RAMP
+        rest = np.array([vin * on, vin * on / R])
+
+        def moved(span, rest=rest, y=y):
+            share = np.linalg.solve(vectors, y - rest)
+            return rest[:, None] + np.real(vectors @ (np.exp(np.outer(values, np.atleast_1d(span))) * share[:, None]))
+
+        def gap(span, t=t, moved=moved):
+            return GAIN * (moved(span)[0] - 11.3) - 3.8 - 4.4 * (t + span) / RAMP
+
+        spans = np.linspace(1e-9, RAMP - t, 4001)
+        passed = np.flatnonzero(np.diff(np.sign(gap(spans))))
+        span = RAMP - t
+        if len(passed):
+            span = brentq(lambda s, gap=gap: gap(s)[0], *spans[passed[0] : passed[0] + 2], xtol=1e-18)
+        t, y = t + span, moved(span)[:, 0]
+        t = RAMP if not len(passed) else t
+    return y
+
+
+@pytest.mark.parametrize("vin", [28.0, 33.0])
+def test_a_ramp_that_is_compared_with(vin):
+    """Ramps without a switching, and with several, whose comparison leaps with the ramp; areas shrink by exp(−T/RC)."""
+    system = piecewise_smooth(with_switches(buck, {"vin": vin}), {"vin": vin})
+    strobe = make_return_map(system, dopri8, 8)
+    y = np.array([12.0, 0.55])
+    step = jax.jit(lambda u: derivatives(strobe, 1, u, {"vin": jnp.float64(vin)}, ("vin",)))
+    for _ in range(24):
+        exact = switched_exactly(y, vin)
+        ours = step(jnp.array(y))
+        assert np.abs(np.asarray(ours.image) / exact - 1.0).max() < 1e-9
+        assert np.linalg.det(np.asarray(ours.monodromy)) == pytest.approx(np.exp(-RAMP / (R * C)), rel=1e-8)
+        y = exact
 
 
 def test_names_of_what_has_no_surface():
