@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+import jaxnh
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives
 from jaxnh.solvers import dopri8
@@ -169,6 +170,31 @@ def test_a_ramp_that_is_compared_with(vin):
         assert np.abs(np.asarray(ours.image) / exact - 1.0).max() < 1e-9
         assert np.linalg.det(np.asarray(ours.monodromy)) == pytest.approx(np.exp(-RAMP / (R * C)), rel=1e-8)
         y = exact
+
+
+def comb(push=0.3):
+    """x'' = −x + push where 3x has a fraction below a half: its energy is kept."""
+
+    def rhs(y, t):
+        x, v = y
+        return v, -x + jnp.where((3.0 * x) % 1.0 < 0.5, push, 0.0)
+
+    return {"rhs": rhs, "coordinates": ("x", "v")}
+
+
+def test_returns_to_a_section_past_leaps():
+    """At v = 0 motions of each start have the energy of it, and neither exponent is far from zero."""
+    session = jaxnh.Session(comb, start={"x": 1.3}, target=1e-9).on(normal={"v": 1.0}, direction="up")
+    push = np.array([0.1, 0.3])
+    x = session.run(jaxnh.Diagram(transient=4, strobes=16), push=push)["x"].to_numpy()
+    exponents = session.run(jaxnh.Lyapunov(periods=64, exponents=2), push=push)["exponents"].to_numpy()
+
+    def energy(x):
+        cell = np.floor(3.0 * x)
+        return 0.5 * x**2 - push[:, None] * (0.5 * cell + np.minimum(3.0 * x - cell, 0.5)) / 3.0
+
+    assert np.abs(energy(x) - energy(np.full((2, 1), 1.3))).max() < 1e-8
+    assert np.abs(exponents).max() < 0.1
 
 
 def test_names_of_what_has_no_surface():
