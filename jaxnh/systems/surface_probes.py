@@ -45,9 +45,9 @@ def probe_field(
 
     Random states and times go to each surface by Newton, half of them in units drawn at random, as coordinates may have
     any. A little beside it, on either side, the field is compared with that of the other side. A surface that is
-    touched alone, as r = 0, has no part; one that is not reached, or beside which nothing is finite, has. Surfaces
-    where none is seen are probed anew: of five numbers two that are equal are the least of all in a quarter of all
-    states.
+    touched alone, as r = 0, has no part, nor has one beyond which the field of a side is not defined, as of √max(x, 0);
+    one that is not reached, or beside which nothing is finite, has. Surfaces where none is seen are probed anew: of
+    five numbers two that are equal are the least of all in a quarter of all states.
 
     Args:
         heights: (parameters, y, t) to the heights above all surfaces.
@@ -141,9 +141,11 @@ def _probe_surfaces(
     size = np.sum(np.abs(slopes[:-1]) * np.maximum(np.abs(on[1]), np.abs(on[2])), axis=0)
     push = np.sum(np.abs(slopes[:-1] * (on[1] - on[2])), axis=0)
     seen = below[0] != upon[0], gain < -_ALIKE * size, push > _ALIKE * size
+    defined, beyond = (np.all(np.isfinite(below[k]) & np.isfinite(upon[k]), axis=0) for k in (1, 2))
+    ends = np.any(reached & defined, axis=0) & ~np.any(reached & defined & beyond, axis=0)
     return (
         np.any(reached, axis=0),
-        np.any(reached & seen[0] & differs, axis=0),
+        np.any(reached & seen[0] & differs, axis=0) & ~ends,
         *(np.any(reached & each, axis=0) for each in seen[1:]),
     )
 

@@ -123,6 +123,11 @@ NEEDLESS = {
     "even powers": lambda y, t, a: (jnp.abs(y[0]) ** 2, jnp.abs(y[1]) * jnp.abs(y[1]), 0.0),
     "smooth in two forms": lambda y, t, a: (jnp.logaddexp(y[0], y[1]), jax.nn.softplus(y[2]), jnp.hypot(y[0], y[1])),
     "touched alone": lambda y, t, a: (jnp.where(y[0] ** 2 + y[1] ** 2 > 0.0, y[2], 1.0), jnp.sinc(y[0]), 0.0),
+    "not defined beyond": lambda y, t, a: (
+        jnp.sqrt(jnp.maximum(y[0], 0.0)),
+        jnp.where(y[1] > 0.0, y[1] ** 1.5, 0.0),
+        0.0,
+    ),
     "no part in the rates": lambda y, t, a: (0.0 * jnp.abs(y[0]), 1.0, 0.0),
 }
 
