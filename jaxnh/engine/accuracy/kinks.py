@@ -28,6 +28,7 @@ from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 
 _STEPS = 16  # of a motion in which the field changes most, that are halved
 _HALVINGS = 30
+_NAMED = 6  # coordinates of a place, at most
 _STAYS = 0.25  # of a change over a step, that is left of it
 _NOTHING = 1e-6  # of the largest value: a change that may be rounding
 _LAST_DIGITS = 1e-290  # a field that is never larger has few digits, as of a motion that has come to rest
@@ -87,10 +88,9 @@ def find_kink(
             step, share = _lasting_change(field, ends, low, high, measure, order)
         if step is not None:
             at = jax.tree.map(lambda a, b, i=step, s=share: a[i] + s * (b[i] - a[i]), begin, end)
-            place = ", ".join(
-                f"{name} = {float(output.data):.4g}"
-                for name, output in flow.readout.coordinates(at, np.zeros(1)).items()
-            )
+            named = list(flow.readout.coordinates(at, np.zeros(1)).items())
+            place = ", ".join(f"{name} = {float(output.data):.4g}" for name, output in named[:_NAMED])
+            place += ", …" if len(named) > _NAMED else ""
             time = ends[0][step] + share * (ends[1][step] - ends[0][step])
             where = f"at t = {time:.4g}, {place}"
             remedy = (
