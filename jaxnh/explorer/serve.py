@@ -154,7 +154,7 @@ def _listen(address: str, port: int) -> tuple[str, int]:
         return address, trial.getsockname()[1]
 
 
-def run(server: Server) -> None:
+def run(server: Server, worker: Worker) -> None:
     """Serve until SIGINT or SIGTERM."""
     loop: IOLoop = server.io_loop
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -163,4 +163,5 @@ def run(server: Server) -> None:
     try:
         loop.start()
     finally:
+        worker.stop()
         server.stop()

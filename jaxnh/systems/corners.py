@@ -1,8 +1,9 @@
-"""Corners and jumps that a right-hand side has by |x|, sign, max, min, clip or a comparison, as switches.
+"""Corners and jumps that a right-hand side has by |x|, sign, max, min, clip, floor or a comparison, as switches.
 
-Each of these equations has a surface on which its operands are equal, or its argument is zero. The right-hand side is
-written anew as a function of (y, t, side), in which they read the side of their surface, so that steps may end there
-(`maps.jumping`). It is left as it is where nothing depends on a side.
+Each of these equations has a surface on which its operands are equal, or its argument is zero, or of floor an integer.
+The right-hand side is written anew as a function of (y, t, side), in which they read the side of their surface, so that
+steps may end there (`maps.jumping`). It is left as it is where nothing depends on a side. The height above the surface
+of what is compared with a sawtooth leaps with that: by sides of floor it goes on beyond, up to the event.
 """
 
 from __future__ import annotations
@@ -151,10 +152,8 @@ class PiecewiseField:
         for step in self._program.steps:
             if self._needed.isdisjoint(step.makes) or not self._moves[step.makes[0]]:
                 continue
-            name, reads = (
-                step.equation.primitive.name,
-                {each for each in step.reads if not isinstance(each, KnownValue)},
-            )
+            name = step.equation.primitive.name
+            reads = {each for each in step.reads if not isinstance(each, KnownValue)}
             before = frozenset[int]().union(*(floors.get(slot, ()) for slot in reads))
             corner, leaps, moves = name in OPERANDS and is_real(step.equation), reads & leaping, reads & glides
             floored = corner and name == "floor" and not step.equation.outvars[0].aval.shape

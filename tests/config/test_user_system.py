@@ -472,9 +472,11 @@ def system():
 def test_names_of_our_own_are_as_good_as_others(tmp_path):
     """Parameters and coordinates may have names that the classes of a config use themselves."""
     text = """
+import jax.numpy as jnp
+
 def system(copy=1.0, model_config=2.0, flow=3.0, known=4.0, check=5.0):
     def Q(q, v, t):
-        return t % 1.0 - copy * model_config * q[0], -flow * known * check * q[1]
+        return jnp.cos(2 * jnp.pi * t) - copy * model_config * q[0], -flow * known * check * q[1]
 
     return dict(T=lambda q, v, t: 0.5 * (v[0] ** 2 + v[1] ** 2), Q=Q, coordinates=("given", "json"), period=1.0)
 """

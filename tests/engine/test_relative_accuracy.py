@@ -269,6 +269,13 @@ def test_no_kink_where_the_field_overflows():
     assert find_kink(flow, np.arange(4.0), flow.start({"x": x, "v": np.zeros(4)}), {}) is None
 
 
+def test_no_kink_at_a_pole_on_the_chord_of_a_step():
+    """x' = 1/(x − 0.3): between states on both sides, where no motion goes, ever more is left as the step is halved."""
+    flow = first_order(lambda rate=1.0: {"rhs": lambda y, t: (1.0 / (y[0] - 0.3), y[0]), "coordinates": ("x", "v")}, {})
+    x = np.array([1.0, 0.9, 0.1, 0.0])
+    assert find_kink(flow, np.arange(4.0), flow.start({"x": x, "v": np.zeros(4)}), {}) is None
+
+
 # ---- words
 
 

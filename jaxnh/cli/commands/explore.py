@@ -54,8 +54,9 @@ def explore(
     from jaxnh.cli.arguments import read_config
 
     content = None if config.suffix == ".h5" else read_config(config, overrides)
-    # From here on of a config JAX, and pages of Panel while the first picture is computed: seconds of imports.
+    # From here on pages of Panel, and of a config JAX: seconds of imports.
     from jaxnh.explorer.opening import PageContent, open_file, open_texts
+    from jaxnh.explorer.serve import make_server, run
     from jaxnh.explorer.worker import Watch, Worker
 
     worker = Worker()
@@ -67,17 +68,11 @@ def explore(
         with report_user_line(str(config)):
             yield from open_texts(opened, texts, watch, columns)
 
-    worker.start()
-    if opened.source.computes:
+    server, page = make_server(opened, worker.start(), address, port, reopen)
+    if opened.source.computes:  # while a browser is opened
         worker.ask_ahead(opened.source.passes(opened.source.first))
-    try:
-        from jaxnh.explorer.serve import make_server, run
-
-        server, page = make_server(opened, worker, address, port, reopen)
-        print(f"explore: {page} shows {config}; Control-C stops it", flush=True)
-        run(server)
-    finally:
-        worker.stop()
+    print(f"explore: {page} shows {config}; Control-C stops it", flush=True)
+    run(server, worker)
 
 
 main = partial(run_app, app)

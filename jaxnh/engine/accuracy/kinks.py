@@ -129,6 +129,7 @@ def _lasting_change(
         later = change(middle, high, width) > change(low, middle, width)
         low, high = (np.where(later[:, None, None], *pair) for pair in ((middle, low), (high, middle)))
         begin = np.where(later, begin + width, begin)
-    left = change(low, high, width)
-    lasting = (changes[picked] > _NOTHING) & (left > _STAYS * changes[picked])
+    share_left = change(low, high, width) / np.maximum(changes[picked], np.finfo(float).tiny)
+    # Of a pole, on the chord of a step, more and more would be left.
+    lasting = (changes[picked] > _NOTHING) & (share_left > _STAYS) & (share_left < 1.0 / _STAYS)
     return (int(picked[np.argmax(lasting)]), float(begin[np.argmax(lasting)])) if np.any(lasting) else (None, 0.0)
