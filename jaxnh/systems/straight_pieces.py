@@ -121,13 +121,15 @@ def called_function(equation: Any) -> Callable[..., Any] | None:
     """The function of `jax.numpy` that an equation calls, of those that are written in pieces; None of others."""
     if equation.primitive.name not in INLINED or (name := _name_of(equation)) not in _COMPILED:
         return None
+    if not is_real(equation) or len({atom.aval.dtype for atom in equation.invars}) > 1:
+        return None
     function = _COMPILED[name][0]
     (known,) = jax.make_jaxpr(function)(*(atom.aval for atom in equation.invars)).eqns
     return function if str(known.params["jaxpr"]) == str(equation.params["jaxpr"]) else None
 
 
 def _in_pieces(equation: Any) -> Callable[..., Any] | None:
-    """What an equation of real numbers is by floor, or by the pieces that it interpolates with; None of others."""
+    """A function of floor, or of the pieces of a table, in place of an equation of real numbers; None of others."""
     if called_function(equation) is None:
         return _BY_FLOOR.get(equation.primitive.name)
     name = _name_of(equation)
@@ -139,7 +141,7 @@ def _in_pieces(equation: Any) -> Callable[..., Any] | None:
 
 
 def _name_of(equation: Any) -> tuple[str, int]:
-    return equation.params["name"], len(equation.invars)
+    return equation.params.get("name", ""), len(equation.invars)
 
 
 def floor_of_parity(x: Any, side: Any) -> Any:

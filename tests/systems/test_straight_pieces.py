@@ -17,6 +17,7 @@ from jaxnh.maps.iterate import derivatives
 from jaxnh.solvers import dopri8
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
+from jaxnh.systems.small_arrays import by_numbers
 from jaxnh.systems.straight_pieces import names_without_surface
 from tests.helpers.one_lane import state_after
 
@@ -210,3 +211,13 @@ def test_names_of_what_has_no_surface():
     rhs = with_switches(lambda: {"rhs": leaping, "coordinates": ("x", "y", "z")}, {})()["rhs"]
     assert names_without_surface(lambda y: rhs(y, 0.0, (1.0, 1.0)), (0.0, 0.0, 0.0)) == ("argmax",)
     assert names_without_surface(lambda y: (jnp.abs(y[0]), jnp.hypot(y[1], y[2])), (0.0, 0.0, 0.0)) == ()
+
+
+def test_remainders_of_whole_numbers_stay():
+    """They are no places of a motion: rates are as they were."""
+
+    def rhs(x, v):
+        weights = jnp.stack([x, v, x]) * ((jnp.arange(3) % 2) // 2).astype(float)
+        return jnp.abs(x) + weights.sum() + (jnp.arange(3) % 2).sum().astype(float) * v, -v
+
+    assert [float(x) for x in jax.jit(by_numbers(rhs))(-0.5, 0.25)] == [0.75, -0.25]
