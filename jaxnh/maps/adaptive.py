@@ -77,7 +77,7 @@ class _Progress(NamedTuple):
 
 
 class _TangentTransport(NamedTuple):
-    """How tangents go along with a state.
+    """Transport of tangents along with a state.
 
     Attributes:
         p: parameters of the lane.
@@ -105,7 +105,7 @@ class _TangentTransport(NamedTuple):
 
 
 _Step = Callable[[Any, Any, Moving], tuple[Moving, State]]
-"""What a step from a time, of a length, does to a moving state, and the estimate of its error."""
+"""A step from a time, of a length: a moving state to the one after it, and the estimate of its error."""
 
 
 class AdaptiveStrobe(ReturnMap):
@@ -174,7 +174,7 @@ class AdaptiveStrobe(ReturnMap):
         return jnp.where(ended.t >= self.length, ended.trials, self._most_trials)
 
     def _along(self, p: Parameters, tangents: tuple[Tangent, ...]) -> tuple[_TangentTransport, Any]:
-        """How tangents go along, and they."""
+        """Return the transport of tangents, and the tangents."""
         own, rolls = own_parameters(self.system, p), self._rolls(len(tangents))
         by_p: Any = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         moved: Any = tuple(t.state for t in tangents)

@@ -105,7 +105,7 @@ def time_split(system: Flow) -> TimeSplit:
 
 
 def lane_of(system: Flow) -> tuple[State, dict[str, float]]:
-    """What steps carry of a lane, by its shapes, and parameters that it may have of its own."""
+    """The parts of a lane that steps carry, by its shapes, and parameters that it may have of its own."""
     section = jax.ShapeDtypeStruct((system.chart.dimension,), jnp.float64)
     state = jax.eval_shape(lambda u: system.reduction.reduce(system.chart.state(u)), section)
     return state, dict.fromkeys(system.roles.of_lanes, 0.0)

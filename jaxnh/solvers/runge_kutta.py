@@ -145,7 +145,7 @@ class WrittenOutRungeKutta(ExplicitMethod):
         *,
         pair: bool,
     ) -> list[Any]:
-        """What `_rolled` returns, one after the other, numbers and arrays of one lane or of so many as last axis."""
+        """Results of `_rolled`, one after the other, numbers and arrays of one lane or of so many as last axis."""
         count = len(self.b) if pair else self.stages
 
         def joined(leaves: list[Any]) -> Any:

@@ -24,7 +24,7 @@ from jax.extend.core import primitives
 from jaxnh.systems.tracing import KnownValue, Program, Slot
 
 Value = Slot | KnownValue
-"""What an equation reads."""
+"""An operand of an equation."""
 
 
 class Operation(NamedTuple):
@@ -88,7 +88,7 @@ class SimplifiedProgram(Program):
         return slot
 
     def parts(self, name: str, value: Value) -> tuple[Value, ...]:
-        """What an operation of a name reads that makes a value; nothing of other values."""
+        """Return the operands of the operation of a name that makes a value; none of other values."""
         step = None if isinstance(value, KnownValue) else self.step_of(value)
         return step.reads if step is not None and step.equation.primitive.name == name else ()
 

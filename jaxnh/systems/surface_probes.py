@@ -19,7 +19,7 @@ _ALIKE = 1e-9  # of their size: the difference of two branches that are one func
 
 
 class SeenSurfaces(NamedTuple):
-    """What probes have seen of surfaces, each (surfaces,).
+    """Findings of probes of surfaces, each (surfaces,).
 
     Attributes:
         part: whether a surface has a part in the field, which is not one function on both sides; or is not reached.

@@ -1,4 +1,4 @@
-"""Whether motions whose rotation number is near a fraction p/q are locked to it: whether F^q(x) = x + p has a zero.
+"""Locking of motions whose rotation number is near a fraction p/q: the search for a zero of F^q(x) − x − p.
 
 Just beyond the end of a tongue there is none, but a motion passes its place slowly: over a run that is no longer than
 the passage its average is the fraction's, within a bar of the two halves. Arrays on the host, angles in turns.

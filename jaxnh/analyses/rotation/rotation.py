@@ -158,7 +158,7 @@ def _about_centre(options: RotationOptions, batch: LaneBatch, states: State) -> 
 
 
 class Judgement(NamedTuple):
-    """What the rule of this module says of lanes, (lanes,) each.
+    """Rotation of lanes by the rule of this module, (lanes,) each.
 
     Attributes:
         kind: number in `KINDS`.

@@ -88,7 +88,7 @@ def _shares(place: Float[np.ndarray, " k"], i: int, k: int) -> Float[np.ndarray,
 
 
 def _turn(place: Float[np.ndarray, " 3"], tests: Float[np.ndarray, " 3"]) -> float | None:
-    """Where in (0, 1) the parabola through three points turns, if it does so near zero or beyond it."""
+    """Return the turn in (0, 1) of the parabola through three points, if it is near zero or beyond it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.diff(tests) / np.diff(place)
         bend = (slope[1] - slope[0]) / (place[2] - place[0])

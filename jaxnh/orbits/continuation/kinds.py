@@ -24,7 +24,7 @@ KINDS = ("fold", "period_doubling", "neimark_sacker", "branch_point", "hopf", "g
 FOLD, DOUBLING, NEIMARK_SACKER, BRANCH_POINT, HOPF, GRAZING = range(len(KINDS))
 
 STABILITIES = ("no", "yes", "undecided")
-"""Whether orbits attract, by number."""
+"""Stability of orbits, by number."""
 
 _MAPS, _FIELDS = (FOLD, DOUBLING, NEIMARK_SACKER, BRANCH_POINT), (FOLD, HOPF, BRANCH_POINT)
 
