@@ -115,7 +115,7 @@ def _lasting_change(
     """The step whose change lasts as it is halved, and the share of it where that is; none where it does of no step."""
 
     def change(low: np.ndarray, high: np.ndarray, width: float) -> Float[np.ndarray, " some"]:
-        """Change of the field less that by its derivatives at the ends, or of its derivative, relative to the largest."""
+        """Change of the field less that by its derivatives at both ends, or of its derivative, in units of measure."""
         smooth = 0.5 * width * (low[:, 1] + high[:, 1]) if order == 0 else 0.0
         return np.max(np.abs(high[:, order] - low[:, order] - smooth) / measure, axis=1)
 
