@@ -224,9 +224,10 @@ class UserConfig(Config, frozen=True):
     def check_clock(self, clock: bool) -> None:
         """Check accuracy and section; crossings need a section that the config gives."""
         super().check_clock(clock)
-        at_crossings = [
-            name for name, options in self.analyses.asked_for() if not all(each.in_time for each in options)
-        ]
+        asked_for = self.analyses.asked_for()
+        needed = {word for name, _ in asked_for for word in OPTIONS[name].needs}
+        at_crossings = [name for name, options in asked_for if not all(each.in_time for each in options)]
+        at_crossings.sort(key=lambda name: name in needed)
         if not clock and self.section is None and at_crossings:
             first = (self._names.coordinates or ("x",))[0]
             message = (

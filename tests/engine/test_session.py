@@ -180,6 +180,19 @@ def test_sections():
     np.testing.assert_array_equal(found["x1"].isel(start_x2=0), alone["x1"])
 
 
+def test_the_analysis_that_has_no_section_is_the_one_asked_for():
+    """`verdict` needs `period`, and both look at a section."""
+
+    def turning(w=1.0):
+        def rhs(y, t):
+            return w * y[1], -w * y[0]
+
+        return {"rhs": rhs, "coordinates": ("x", "y")}
+
+    with pytest.raises(InputError, match="analyses.verdict: the system has no period, and verdict looks at it"):
+        jaxnh.Session(turning, start={"x": 1.0}).run(jaxnh.Verdict())
+
+
 @pytest.mark.slow
 def test_own_systems(tmp_path, monkeypatch):
     """A user's system has its parameters and coordinates as axes; its programs are those of test_two_axes."""

@@ -21,10 +21,11 @@ from jaxnh.orbits.bifurcations.close_pairs import with_close_pairs
 from jaxnh.orbits.bifurcations.grazing import GrazingOrbit
 from jaxnh.orbits.bifurcations.location import Brackets, brackets, locate, locate_near, neutral_pair
 from jaxnh.orbits.bifurcations.normal_forms import cubic
-from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, along_parameter, correct
+from jaxnh.orbits.bifurcations.sign_changes import PAIRS, known_signs
+from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, along_parameter, correct, length, times
 from jaxnh.orbits.continuation.branches import Branch, follow_both_ways
 from jaxnh.orbits.continuation.core import FINE
-from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, NEIMARK_SACKER, eigenvalues
+from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, eigenvalues
 from jaxnh.orbits.continuation.paths import COLLAPSED, StepControl
 from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
 
@@ -247,8 +248,9 @@ def _locate(
 
     Also the critical vectors of real multipliers, and the sign changes that led to nothing.
     """
+    stretch = _with_known_signs(families, stretch)
     first = locate(families[0], stretch)
-    neutral = np.isin(stretch.kind, (NEIMARK_SACKER, HOPF)) & first.exists
+    neutral = np.isin(stretch.kind, PAIRS) & first.exists
     neutral[neutral] = neutral_pair(families[0], first.orbits.take(neutral))
     located = np.flatnonzero(first.exists & ~neutral)
     lost = _sign_changes(stretch, ~first.exists, count)
@@ -279,6 +281,19 @@ def _locate(
         for k, at in enumerate(sure.tolist())
     ]
     return bifurcations, first.orbits.take(sure), np.real(normal.vectors), lost
+
+
+def _with_known_signs(families: Sequence[Family], stretch: Brackets) -> Brackets:
+    """The brackets but for those of pairs of multipliers that rounding or steps make, all along a conservative flow."""
+    pairs = np.flatnonzero(np.isin(stretch.kind, PAIRS))
+    if not len(pairs):
+        return stretch
+    part: Brackets = jax.tree.map(lambda leaf: leaf[pairs], stretch)
+    size = length(families[0], part.chord)
+    end = PathVector(part.start.points + part.chord.points, part.start.value + part.chord.value)
+    ways = [times(1.0 / size, way) for way in part.ways]
+    known = np.any([known_signs(families, *each) for each in zip((part.start, end), ways, strict=True)], axis=0)
+    return jax.tree.map(lambda leaf: np.delete(leaf, pairs[~known], axis=0), stretch)
 
 
 def _sign_changes(stretch: Brackets, which: Bool[np.ndarray, " some"], count: int) -> list[SignChange]:

@@ -32,6 +32,7 @@ _SHIFT = 1e-3  # h, in sizes of the motion
 _ROUNDINGS = 8.0  # of ∂P/∂u, whose operations are many
 _REAL = {DOUBLING: -1.0, BRANCH_POINT: 1.0}  # z
 _COVER = 4.0  # the change with twice the h times this covers the error in 96 of 100 where roundings, as normal, are it
+_DEFECTIVE = 1e-6  # r_n q_n: a double multiplier with one vector, as of conservative flows, has no such normal form
 _CERTAIN = 2.0  # the sign of a coefficient is known where it is so many times its error
 
 
@@ -66,13 +67,17 @@ def cubic(family: Family, orbits: CurveOrbits, kind: Int[np.ndarray, " some"]) -
         known = np.isfinite(z)
         subset, at_points, z = subset[known], at_points.take(known), z[known]
         q = _normal(family, _null(at_points.blocks, z, real))
+        result.vectors[subset] = q
+        simple = np.abs(_pairing(family, at_points.blocks, q, _left(at_points.blocks, z, real))) > _DEFECTIVE
+        subset, at_points, z, q = subset[simple], at_points.take(simple), z[simple], q[simple]
+        if not len(subset):
+            continue
         parts = (np.real(q),) if real else (np.real(q), np.imag(q))
         moved = _moved_blocks(family, at_points, parts)
         plain = [_coefficient(family, at_points, q, z, real, 2.0**k * _SHIFT, moved[:, k]) for k in range(3)]
         first, two = (near + (near - far) / 3.0 for near, far in itertools.pairwise(plain))
         result.coefficient[subset] = first
         result.error[subset] = _COVER * np.abs(two - first) + _rounding(family, at_points.blocks, q, z, real)
-        result.vectors[subset] = q
     with np.errstate(invalid="ignore"):
         sure = np.abs(result.coefficient) > _CERTAIN * result.error
     result.criticality[sure] = -np.sign(result.coefficient[sure]).astype(int)
@@ -116,8 +121,19 @@ def _left_vectors(
 ) -> Complex[np.ndarray, "some n d"]:
     """r_{i+1} at place i, with r_n q_n = 1."""
     left = _left(blocks, z, real)
-    ends = _times(blocks, q) if not family.field else q
-    return left / np.sum(left[:, -1] * ends[:, -1], axis=1)[:, None, None]
+    ends = _ends(family, blocks, q)
+    return left / np.sum(left[:, -1] * ends, axis=1)[:, None, None]
+
+
+def _pairing(family: Family, blocks: np.ndarray, q: np.ndarray, left: np.ndarray) -> Complex[np.ndarray, " some"]:
+    """r_n q_n of vectors of length one: zero where the multiplier is double with one vector."""
+    ends = _ends(family, blocks, q)
+    return np.sum(left[:, -1] * ends, axis=1) / (np.linalg.norm(left[:, -1], axis=1) * np.linalg.norm(ends, axis=1))
+
+
+def _ends(family: Family, blocks: np.ndarray, q: np.ndarray) -> Complex[np.ndarray, "some d"]:
+    """q_n."""
+    return q[:, -1] if family.field else _times(blocks[:, -1], q[:, -1])
 
 
 def _rounding(
