@@ -189,7 +189,7 @@ def test_the_analysis_that_has_no_section_is_the_one_asked_for():
 
         return {"rhs": rhs, "coordinates": ("x", "y")}
 
-    with pytest.raises(InputError, match="analyses.verdict: the system has no period, and verdict looks at it"):
+    with pytest.raises(jaxnh.InputError, match=r"analyses\.verdict: the system has no period, and verdict looks at it"):
         jaxnh.Session(turning, start={"x": 1.0}).run(jaxnh.Verdict())
 
 
