@@ -7,7 +7,7 @@ of 1e-32 in place of 1e-16.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -200,6 +200,25 @@ def _sum(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double) -> Double
     return a
 
 
+def _with_axes(x: Double, order: Sequence[int], new: Sequence[int]) -> Double:
+    """An array with its axes in an order, and then with new ones of length one at places."""
+    return Double(*(None if half is None else lax.expand_dims(jnp.transpose(half, order), new) for half in x))
+
+
+def _product_of_arrays(arithmetic: Arithmetic, params: Mapping[str, Any], a: Double, b: Double) -> Double:
+    """Sum of products over the axes that two arrays have in common but for those that stay."""
+    (summed_a, summed_b), (kept_a, kept_b) = params["dimension_numbers"]
+    own_a, own_b = (
+        [axis for axis in range(x.hi.ndim) if axis not in (*summed, *kept)]
+        for x, summed, kept in ((a, summed_a, kept_a), (b, summed_b, kept_b))
+    )
+    before_b = len(kept_a) + len(own_a)
+    first = _with_axes(a, (*kept_a, *own_a, *summed_a), range(before_b, before_b + len(own_b)))
+    second = _with_axes(b, (*kept_b, *own_b, *summed_b), range(len(kept_b), before_b))
+    product = arithmetic.mul(first, second)
+    return _sum(arithmetic, {"axes": range(product.hi.ndim - len(summed_a), product.hi.ndim)}, product)
+
+
 _OPERATIONS: dict[str, Callable[..., Value]] = {
     "add": lambda arithmetic, _, a, b: arithmetic.add(a, b),
     "add_any": lambda arithmetic, _, a, b: arithmetic.add(a, b),
@@ -213,6 +232,7 @@ _OPERATIONS: dict[str, Callable[..., Value]] = {
     "max": lambda arithmetic, _, a, b: select(arithmetic.less(a, b), b, a),
     "min": lambda arithmetic, _, a, b: select(arithmetic.less(b, a), b, a),
     "reduce_sum": _sum,
+    "dot_general": _product_of_arrays,
     "integer_pow": _power,
     "pow": _real_power,
     "square": lambda arithmetic, _, a: arithmetic.mul(a, a),

@@ -124,14 +124,16 @@ class Program:
         """Solve the equations that are wanted, in order, reading known values of slots and adding results to them.
 
         Args:
-            instead: functions in place of primitives, or of the equations that make slots.
+            instead: functions in place of primitives, of what these read and of their parameters by name, or in place
+                of the equations that make slots, of what these read.
         """
         for step in filter(wanted, self.steps):
             values = [slot.value if isinstance(slot, KnownValue) else slot_values[slot] for slot in step.reads]
             primitive = step.equation.primitive
-            replacement = instead.get(step.makes[0], instead.get(primitive)) if instead else None
-            if replacement is not None:
+            if instead and (replacement := instead.get(step.makes[0])) is not None:
                 results = [replacement(*values)]
+            elif instead and (replacement := instead.get(primitive)) is not None:
+                results = [replacement(*values, **step.equation.params)]
             elif primitive.name.startswith("custom_"):  # its parameters are not those that it is bound with
                 results = _alone(step.equation, self._program)(*values)
             else:

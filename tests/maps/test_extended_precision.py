@@ -144,6 +144,28 @@ def test_loops_choices_and_comparisons():
         assert bool(rests[i]) == (x % y < Fraction(1, 4))
 
 
+def test_products_of_arrays():
+    """Sums of products over one axis and over two, of which an axis stays, against fractions."""
+    rng = np.random.default_rng(3)
+    x, y, z = rng.uniform(-1.0, 1.0, (2, 3, 4)), rng.uniform(-1.0, 1.0, (4, 2, 3)), rng.uniform(-1.0, 1.0, (2, 4, 5))
+
+    def products(x, y, z):
+        return jnp.einsum("ijk,kij->i", x, y), jnp.einsum("ijk,ikl->jil", x, z), jnp.tensordot(x, y, 1)
+
+    run = jax.jit(lambda hidden, *arrays: extend_precision(products, hidden)(*map(from_float64, arrays)))
+    exact = np.vectorize(Fraction)
+    for found, whole in zip(run(HIDDEN, x, y, z), products_of(exact(x), exact(y), exact(z)), strict=True):
+        assert found.hi.shape == whole.shape
+        error = exact(np.asarray(found.hi)) + exact(np.asarray(found.lo)) - whole
+        assert np.abs(error).max() < 8 * UNIT
+
+
+def products_of(x, y, z):
+    several = np.stack([(x[i] * np.moveaxis(y, 0, -1)[i]).sum() for i in range(len(x))])
+    one = np.stack([x[i] @ z[i] for i in range(len(x))], axis=1)
+    return several, one, np.tensordot(x, y, 1)
+
+
 def test_unknown_operations_are_named():
     with pytest.raises(NotImplementedError, match="asin is not known in extended precision"):
         extend_precision(jnp.arcsin, HIDDEN)(from_float64(0.5))

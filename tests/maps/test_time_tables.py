@@ -74,3 +74,28 @@ def test_equations_of_the_lanes_are_counted():
     """x³ and its difference from the force are the lanes'; the force and its product with c are not."""
     assert TimeSplit(plain, SHARED, LANE).size == 2
     assert TimeSplit(of_time_alone, SHARED, LANE).size == 0
+
+
+def test_sums_over_axes_are_products_with_ones():
+    """A loop that adds sines computes them one at a time. Sums of whole numbers, and over no axis, stay as they are."""
+
+    def coupled(t, s, y):
+        phases = jnp.stack([y["x"], y["v"], y["x"] + y["v"], 0.3 * y["x"]])
+        gaps = jnp.sin(phases[None] - phases[:, None])
+        ahead = jnp.sum(gaps > 0.0)
+        return jnp.sum(gaps, axis=1) + s["c"] * jnp.mean(gaps, axis=0), jnp.sum(gaps**2), ahead, jnp.sum(y["x"])
+
+    split = TimeSplit(coupled, SHARED, LANE)
+    lanes = {"x": np.linspace(-3.0, 3.0, 16), "v": np.linspace(0.0, 7.0, 16)}
+
+    def rest(lane):
+        return split.rest((), SHARED, lane)
+
+    program = jax.make_jaxpr(jax.vmap(rest))(lanes)
+    names = [equation.primitive.name for equation in program.eqns]
+    assert names.count("dot_general") == 3
+    assert names.count("reduce_sum") == 2
+    for found, exact in zip(
+        jax.vmap(rest)(lanes), jax.vmap(lambda lane: coupled(0.0, SHARED, lane))(lanes), strict=True
+    ):
+        np.testing.assert_allclose(found, exact, rtol=0, atol=1e-14)
