@@ -50,7 +50,7 @@ _MOST_EVENTS = 64
 _MOST_IMPACTS = 4096
 """Events in one step where motions may rest on walls, which they come to by many impacts."""
 
-_BEGINS_ON_WALL = 1e-12  # of a step's way, where a period begins: a state there leaves, and does not arrive
+_ON_WALL = 1e-12  # of a period's way: with its end a motion there has arrived, and where it begins it leaves
 
 
 class JumpingStrobe(ReturnMap):
@@ -162,7 +162,7 @@ class _Lane:
         reading = self._passage.read(t, moving, signs)
         zero, none, no = jnp.zeros_like(state.y[0]), jnp.int32(0), jnp.bool_(False)
         side = tuple(
-            side_from(h, r, _BEGINS_ON_WALL * jnp.abs(r) * length, sign if either else -jnp.ones_like(sign))
+            side_from(h, r, _near_wall(r, grid), sign if either else -jnp.ones_like(sign))
             for h, r, sign, either in zip(height, reading.rate, signs, self._either, strict=True)
         )
         if self._system.constrained:
@@ -211,20 +211,21 @@ class _Lane:
         t = jnp.where(seeking, end, march.t + h)
         ahead = self._restore(t, self._advance(march.t, h, march.side, march.moving), march.side)
         reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
-        passages = passages_within(
-            march, reading, h, self._sides_of_heights(march.side), self._numbers, self._either, seeking, finite
-        )
+        before = self._sides_of_heights(march.side)
+        last = march.step == self.strobe.steps - 1
+        on_wall = tuple(jnp.where(last, _near_wall(r, jnp.asarray(self.strobe.grid)), -1.0) for r in reading.rate)
+        passages = passages_within(march, reading, h, before, self._numbers, self._either, seeking, finite, on_wall)
         seen, sought = passages.seen, march.sought
         pausing = ~seen & jnp.isfinite(passages.turn)
         fresh = seen | pausing  # a passage or a turn to go to
 
         # Newton on the one that is sought.
-        before = self._sides_of_heights(march.side)
         either = pick(sought, [jnp.bool_(x) for x in self._either])
         side = pick(sought, before)
         rising = jnp.where(either, -side, 1.0)
         sought_height, sought_rate = pick(sought, reading.height), pick(sought, reading.rate)
         better, *bracket = improve_share(share, sought_height, sought_rate * stretch, rising, march.low, march.high)
+        better = jnp.minimum(better, 1.0)
         beyond = sought_height * rising >= 0.0
         sure = march.sure | jnp.where(~either & (side > 0.0), ~beyond, beyond)
         near = (jnp.abs(better - share) <= SETTLED) | (march.shots >= MOST_SHOTS)
@@ -332,6 +333,11 @@ class _Lane:
         reason = jnp.where(twice, 1.0 * CODIMENSION_TWO, moving.state.reason)
         moving = moving._replace(state=moving.state._replace(reason=reason))
         return passage.read(t, passage.bring_back(t, moving, held), held), held, twice
+
+
+def _near_wall(rate: Array, grid: Array) -> Array:
+    """Height below which a motion is on a wall at the ends of a period."""
+    return _ON_WALL * jnp.abs(rate) * (grid[-1] - grid[0])
 
 
 def _finite(state: PiecewisePoint) -> Array:

@@ -16,6 +16,8 @@ from jaxnh.maps.event_heights import Heights, any_of, as_vector, pick
 from jaxnh.maps.general_flow import Moving
 from jaxnh.maps.saltation import Arrival, Reading
 
+_BESIDE_END = 1.0 + 2.0**-20  # share up to which a passage at the end of a trial is looked for
+
 
 class March(NamedTuple):
     """State of a march through the steps of a map.
@@ -113,6 +115,7 @@ def passages_within(
     either: Sequence[bool],
     seeking: Array,
     finite: Array,
+    on_wall: Heights,
 ) -> Passages:
     """Locate passages within what a trial of length h has gone over, and turns of heights near zero.
 
@@ -124,13 +127,23 @@ def passages_within(
         either: whether each is passed both ways.
         seeking: whether the trial is a whole step, in which passages are looked for.
         finite: whether the state at its end is.
+        on_wall: height below which a motion that comes nearer arrives with the end of the trial.
     """
     kept = [
         jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
         for x, r, s in zip(reading.height, march.rounding, before, strict=True)
     ]
+    arriving = [
+        seeking & (s != 0.0) & (jnp.abs(x) <= near) & (rate * b < 0.0)
+        for x, near, rate, b, s in zip(kept, on_wall, reading.rate, before, march.side, strict=True)
+    ]
+    kept = [jnp.where(there, -1e-300 * b, x) for there, b, x in zip(arriving, before, kept, strict=True)]
     ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
     between = [crossing_between(e, side, either=both) for e, side, both in zip(ends, before, either, strict=True)]
+    between = [
+        (now, low, jnp.where(there, _BESIDE_END, high), hit)
+        for there, (now, low, high, hit) in zip(arriving, between, strict=True)
+    ]
     passed = [part[3] & finite for part in between]
     looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in numbers]
     checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]

@@ -70,7 +70,10 @@ def rates(t, y, a=0.3, drive=1.0, down=False):
 
 
 def period(kind, y, a=0.3, drive=1.0, **height):
-    """The state a period after one at t = 0, the energy lost, and how often the blade has come down."""
+    """The state a period after one at t = 0, the energy lost, and how often the blade has come down.
+
+    At the end as well: what falls on it is of this period.
+    """
     when = lambda t, y: HEIGHTS[kind](t, y, **height)  # noqa: E731
     t, y, lost, count = 0.0, np.array(y, float), 0.0, 0
     slope = (when(1e-7, y + 1e-7 * rates(0.0, y)) - when(0.0, y)) / 1e-7
@@ -85,7 +88,7 @@ def period(kind, y, a=0.3, drive=1.0, **height):
             max_step=0.05,
         )  # fmt: skip
         t, y = path.t[-1], path.y[:, -1]
-        if t < TURN - 1e-9:
+        if t < TURN - 1e-9 or abs(when(t, y)) <= 1e-9:
             down = not down
             if down:
                 y, more = lowered(y, a)
