@@ -260,6 +260,29 @@ def test_a_map_that_stretches_angles():
         assert np.abs(turns - np.round(turns)).max() < 1e-9
 
 
+KICKED = """
+import jax.numpy as jnp
+
+
+def system(k=3.0):
+    def image(s):
+        angle, momentum = s
+        momentum = jnp.exp(-0.9) * (momentum + k * jnp.sin(angle))
+        return angle + momentum, momentum
+
+    return {"map": image, "coordinates": ("angle", "momentum"), "angles": "angle"}
+"""
+
+
+def test_exponents_of_a_point_at_half_a_turn():
+    """Rounding leaves its images on either side of the seam of its angle; both multipliers have the modulus e^−0.45."""
+    config = "initial: {angle: 1.0, momentum: 0.4}\nsweep: {k: {start: 2.0, stop: 3.5, count: 16}}\n"
+    data = groups_of(KICKED, config + "analyses: {lyapunov: {transient: 200, periods: 500, exponents: 2}}")["lyapunov"]
+    error = data["exponents_error"].to_numpy()
+    assert np.all(np.abs(data["exponents"].to_numpy() + 0.45) <= error)
+    assert np.all(error < 1e-10)
+
+
 def test_kinds_of_motion():
     """Below r = 2 a fixed point, beyond it a circle (Neimark–Sacker), at 2.27 chaos (Aronson and co-workers 1982)."""
     config = "initial: {x: 0.4, y: 0.4}\nsweep: {r: {values: [1.9, 2.05, 2.27]}}\nanalyses: {verdict: {}}"

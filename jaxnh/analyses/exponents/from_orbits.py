@@ -20,6 +20,7 @@ from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images, orbits
 from jaxnh.analyses.section_points import states_at
 from jaxnh.orbits.multipliers import eigenvalues
 from jaxnh.orbits.newton import Images, solve
+from jaxnh.systems.chart import Wrap
 from jaxnh.systems.state import LaneStates
 
 _LONGEST = 64  # period of an orbit that is looked for
@@ -135,7 +136,9 @@ def orbit_exponents(
         first, u, monodromy = (survey.u, survey.monodromy), finer.u, finer.monodromy
     else:  # there are no steps, but a point is right to a few roundings only
         first = finer.u, finer.monodromy
-        u, monodromy = _rounded_points(images(lanes, batch.strobe(), p, n.astype(np.int32)), finer.u, survey.size)
+        u, monodromy = _rounded_points(
+            images(lanes, batch.strobe(), p, n.astype(np.int32)), batch.chart.wrap, finer.u, survey.size
+        )
     logs, rounding = _logs(batch, lanes, growth, n, *first, parts, 1)
     fine, _ = _logs(batch, lanes, growth, n, u, monodromy, parts, 2)
     moved = change(logs, fine)
@@ -149,7 +152,7 @@ def orbit_exponents(
 
 
 def _rounded_points(
-    at: Images, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
+    at: Images, wrap: Wrap, u: Float[np.ndarray, "lanes d"], size: Float[np.ndarray, "lanes d"]
 ) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d d"]]:
     """Return points as far from orbits of a map as rounding may leave Newton, and ∂Pⁿ/∂u there.
 
@@ -161,7 +164,7 @@ def _rounded_points(
     monodromy, image = np.asarray(here.monodromy), np.asarray(here.image)
     moved = (u + _NEIGHBOURS[:, None, None] * ulps) - u
     images_beside = np.asarray(at((u + moved).reshape(-1, d), np.tile(every, len(_NEIGHBOURS))).image)
-    scatter = images_beside.reshape(moved.shape) - image - np.einsum("lij,klj->kli", monodromy, moved)
+    scatter = wrap(images_beside.reshape(moved.shape) - image) - np.einsum("lij,klj->kli", monodromy, moved)
     rounding = np.maximum(ulps, np.max(np.abs(scatter), axis=0))
     shift = solve(monodromy - np.eye(d), rounding)
     u = u + np.where(np.abs(shift) > ulps, shift, ulps)
