@@ -400,3 +400,22 @@ def test_a_section_that_a_motion_does_not_come_back_to_is_named():
         "it does not come back within 3000 units of time"  # 50 of the time_unit of this file
     )
     assert explain_long_returns(section, np.array([1.0, 1.5, 2.0]), 2) == ""
+
+
+def shaken_pendulum(a=0.5, w=20.0, damping=0.05):
+    """Kapitza's: from near the upright position it turns over hundreds of times before it comes to rest."""
+
+    def rhs(y, t):
+        angle, speed = y
+        return speed, (1.0 - a * w**2 * jnp.cos(w * t)) * jnp.sin(angle) - damping * speed
+
+    return {"rhs": rhs, "coordinates": ("angle", "speed"), "angles": "angle", "period": 2.0 * np.pi / w}
+
+
+def test_an_angle_that_has_run_on_has_the_accuracy_of_one_that_has_not():
+    """Rounding of hundreds of turns is none of the period's: the exponents at rest sum to minus the damping."""
+    session = jaxnh.Session(shaken_pendulum, start={"angle": 0.001, "speed": 0.0}, target=1e-9)
+    data = session.run(jaxnh.Lyapunov(transient=100, periods=500, exponents=2), a=[0.52, 0.6])
+    error = data["exponents_error"].to_numpy()
+    assert np.all(np.abs(data["exponents"].to_numpy() + 0.025) <= error)
+    assert np.all(error < 1e-9)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -19,10 +20,10 @@ from jaxnh.engine.accuracy.sizes import measure_sizes, rough_sizes
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError, LostLaneError
 from jaxnh.maps.iterate import iterate
-from jaxnh.maps.section import Crossing, Section
+from jaxnh.maps.section import Crossing, Section, System, flow_of
 from jaxnh.solvers import Solver
 from jaxnh.systems.flow import Parameters
-from jaxnh.systems.piecewise_smooth import PiecewisePoint
+from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
 from jaxnh.systems.state import State
 from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO, NO_RETURN
 
@@ -36,6 +37,8 @@ _MOST_SEED_KICKS = 1 << 16
 _STEPS_A_PART = 64  # of a unit of time: so short that chaos has not yet enlarged everything in it
 _GROWS = 5.0  # times that the largest coordinate grows in each quarter of a path: without bound
 _FAR_GROWN = 1e3  # times what it was at the start: no size of a motion
+_FAR = 4.0 * np.pi  # of an angle that has run on
+_SAME_RATES = 1e-8  # of their sum, that rounding of an angle of many turns may change them by
 _RETURNS_FOLLOWED = 2.0  # of the longest seen, beyond the last that steps have come to
 _NO_LANE_RETURNS = 3  # numbers of steps, each twice the one before, with which no lane comes back: then none does
 _NOT_LOST_BY_STEPS = (NO_RETURN, CHATTERING, CODIMENSION_TWO)  # why lanes fail whatever the steps
@@ -97,7 +100,7 @@ def take_samples(
     lane, time = np.divmod(moving if len(moving) else chosen, sensitive.shape[1])
     taken = jax.tree.map(lambda leaf: leaf[lane], now)
     taken = taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole.states))
-    kept = _without_lost(maps, taken, max(maps.scheme.first_steps, steps))
+    kept = _without_lost(maps, _without_turns(maps, taken), max(maps.scheme.first_steps, steps))
     return SamplePaths(kept, sensitive.size, sizes, now, steps > first)
 
 
@@ -304,6 +307,28 @@ def _at_rest(maps: SampleMaps, samples: Samples) -> Bool[np.ndarray, "samples pe
 def _crossing_rates(section: Section, states: Crossing, p: Parameters) -> Float[Array, " points"]:
     """Rate of the height above the section at states of one lane."""
     return jax.vmap(lambda y: section.rate(y, p))(states.state)
+
+
+def _without_turns(maps: SampleMaps, samples: Samples) -> Samples:
+    """Samples whose angles have lost their whole turns, where the field is the same without them.
+
+    An angle that has run on has fewer digits than a target may ask for, and a period no other error for that.
+    """
+    chart = maps.flows[0].chart
+    if not any(chart.angles) or isinstance(maps.flow, PiecewiseSmooth):
+        return samples
+    if not np.any(np.abs(chart.host_points(samples.states)[:, np.array(chart.angles)]) > _FAR):
+        return samples
+    states, same = maps.by_flow(_turned_back, lambda row: (maps.flows[row],), samples, 0)
+    return samples._replace(states=states) if np.all(same) else samples
+
+
+def _turned_back(system: System, state: State, p: Parameters) -> tuple[State, Array]:
+    """A state of one lane without whole turns of its angles, and whether it has the same rates."""
+    back, flow = system.chart.state(system.chart.point(state)), flow_of(system)
+    rates = [jax.tree.leaves(flow.rhs(0.0, y.state if isinstance(y, Crossing) else y, p)) for y in (state, back)]
+    before, after = (jnp.stack(jnp.broadcast_arrays(*leaves)) for leaves in rates)
+    return back, jnp.all(jnp.abs(after - before) <= _SAME_RATES * jnp.sum(jnp.abs(before)))
 
 
 def _without_lost(maps: SampleMaps, samples: Samples, steps: int) -> Samples:
