@@ -110,3 +110,21 @@ def test_steps_resolve_what_tangents_do(target):
     assert np.all(off <= found["exponents_error"].to_numpy()[0])
     assert np.all(off < 0.004)
     assert found.attrs["refinement_for_tangents"] > 1
+
+
+def lorenz(rho=28.0):
+    def rhs(s, t):
+        x, y, z = s
+        return 10.0 * (y - x), x * (rho - z) - y, x * y - 8.0 / 3.0 * z
+
+    return {"rhs": rhs, "coordinates": ("x", "y", "z")}
+
+
+@pytest.mark.parametrize("z", [0.0, 5.0])
+def test_a_motion_that_rests_on_a_saddle(z):
+    """On the z axis, which leads into the origin, no rounding leaves it: the exponents are the saddle's eigenvalues."""
+    data = jaxnh.Session(lorenz, start={"z": z}, target=1e-8).run(jaxnh.Lyapunov(periods=200, exponents=3))
+    roots = np.roots([1.0, 11.0, 10.0 * (1.0 - 28.0)])
+    exact = np.sort([*roots, -8.0 / 3.0])[::-1]
+    assert np.all(np.abs(data["exponents"].to_numpy() - exact) <= data["exponents_error"].to_numpy())
+    assert str(jaxnh.labels(data["exponents_method"]).to_numpy()) == "equilibrium"

@@ -2,7 +2,9 @@
 
 A lane is at rest where over the last quarter of a run no coordinate changes at more than 10⁻⁶ of its largest rate,
 nor faster than in the quarter before, and where the rates' linearisation there has no direction that grows: a slow
-passage by a saddle has one. A motion is dying down where all rates shrink from the third quarter to the last.
+passage by a saddle has one. Where all rates have vanished, as of a motion that begins on a saddle or within its stable
+manifold, it is at rest whatever would grow. A motion is dying down where all rates shrink from the third quarter to the
+last.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ _STILL = 1e-9  # likewise: what is left may be rounding, and need not shrink
 _NEVER = 1e-12  # of the largest rate of all coordinates: one that has no rate at all
 _GROWS = 10 * _SLOW  # of the linearisation's norm: it is seen through a distance of 10⁻⁶ to where it would be exact
 _SHRINKS = 0.99
+_VANISHED = 1e-100  # of the largest rate of all coordinates: no rounding has kept any
 _ROUNDING = 1e-14  # of the linearisation's norm, in its entries
 
 
@@ -36,7 +39,7 @@ class Equilibrium(NamedTuple):
     """State of rest of lanes.
 
     Attributes:
-        still: whether a lane is at rest, where nothing grows, (lanes,).
+        still: whether a lane is at rest, where nothing grows or all rates have vanished, (lanes,).
         fading: whether its motion is dying down, (lanes,).
         exponents, error: real parts of the linearisation's eigenvalues at the equilibrium, largest first, in units of
             1/time, (lanes, d); NaN of lanes that move, and where Newton finds no equilibrium, as where many lie side by
@@ -76,7 +79,8 @@ def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equil
         linear.append(lanes(_linearise, (batch.strobe(),), (u, p)))
         u = u - _shortest_step(linear[-1].change, linear[-1].rate)
     change, closer, exact = (at.change for at in linear)
-    still[near] &= _spectrum(change)[0][:, 0] <= _GROWS * np.linalg.norm(change, axis=(1, 2))
+    vanished = np.all(fourth <= _VANISHED * largest.max(axis=1, keepdims=True), axis=1)
+    still[near] &= vanished[near] | (_spectrum(change)[0][:, 0] <= _GROWS * np.linalg.norm(change, axis=(1, 2)))
     (at_rest, bound), nearly = _spectrum(exact), _spectrum(closer)[0]
     exponents[near], error[near] = at_rest, 2.0 * np.abs(at_rest - nearly) + bound
     return Equilibrium(still, fading, exponents, error)
