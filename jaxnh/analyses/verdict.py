@@ -237,7 +237,8 @@ def _classify_without_clock(
     if not len(kind):
         return kind
     with lanes.stage(f"verdict: detecting equilibria of {batch.count} lanes", batch.count * units):
-        still, fading, *_ = detect_equilibrium(batch, lanes, units)
+        rest = detect_equilibrium(batch, lanes, units)
+        still, fading = rest.still, rest.fading
     cycle = np.where(fading, _UNDECIDED, _LIMIT_CYCLE)
     return np.where(still, _EQUILIBRIUM, np.where(kind == _PERIODIC, cycle, kind)).astype(np.int8)
 

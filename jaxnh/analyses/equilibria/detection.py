@@ -2,9 +2,8 @@
 
 A lane is at rest where over the last quarter of a run no coordinate changes at more than 10⁻⁶ of its largest rate,
 nor faster than in the quarter before, and where the rates' linearisation there has no direction that grows: a slow
-passage by a saddle has one. Where all rates have vanished, as of a motion that begins on a saddle or within its stable
-manifold, it is at rest whatever would grow. A motion is dying down where all rates shrink from the third quarter to the
-last.
+passage by a saddle has one. All rates vanish where a motion begins on a saddle, or within its stable manifold: it stays
+there, whatever would grow. A motion is dying down where all rates shrink from the third quarter to the last.
 """
 
 from __future__ import annotations
@@ -39,7 +38,8 @@ class Equilibrium(NamedTuple):
     """State of rest of lanes.
 
     Attributes:
-        still: whether a lane is at rest, where nothing grows or all rates have vanished, (lanes,).
+        still: whether a lane is at rest, where nothing grows, (lanes,).
+        vanished: whether no rate is left of its motion, on a saddle as well, (lanes,).
         fading: whether its motion is dying down, (lanes,).
         exponents, error: real parts of the linearisation's eigenvalues at the equilibrium, largest first, in units of
             1/time, (lanes, d); NaN of lanes that move, and where Newton finds no equilibrium, as where many lie side by
@@ -47,6 +47,7 @@ class Equilibrium(NamedTuple):
     """
 
     still: Bool[np.ndarray, " lanes"]
+    vanished: Bool[np.ndarray, " lanes"]
     fading: Bool[np.ndarray, " lanes"]
     exponents: Float[np.ndarray, "lanes d"]
     error: Float[np.ndarray, "lanes d"]
@@ -66,24 +67,24 @@ def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equil
     batch = batch.without_section()
     run = lanes(_run, (batch.strobe(), batch.flow, np.int32(units)), batch.lanes, periods=units)
     largest, third, fourth, u = run
+    vanished = np.all(fourth <= _VANISHED * largest.max(axis=1, keepdims=True), axis=1)
     never = largest <= _NEVER * largest.max(axis=1, keepdims=True)
     slow = (fourth <= _SLOW * largest) & ((fourth <= third) | (fourth <= _STILL * largest))
     still, fading = np.all(slow | never, axis=1), np.all((fourth < _SHRINKS * third) | never, axis=1)
     exponents, error = np.full((2, *u.shape), np.nan)
     near = np.flatnonzero(still)
     if not len(near):  # nothing to linearise, and no program to compile for it
-        return Equilibrium(still, fading, exponents, error)
+        return Equilibrium(still, vanished, fading, exponents, error)
     # At the end, and after one and two steps of Newton from there to where all rates are zero.
     linear, u, p = [], u[near], select(dict(batch.p), near)
     for _ in range(3):
         linear.append(lanes(_linearise, (batch.strobe(),), (u, p)))
         u = u - _shortest_step(linear[-1].change, linear[-1].rate)
     change, closer, exact = (at.change for at in linear)
-    vanished = np.all(fourth <= _VANISHED * largest.max(axis=1, keepdims=True), axis=1)
-    still[near] &= vanished[near] | (_spectrum(change)[0][:, 0] <= _GROWS * np.linalg.norm(change, axis=(1, 2)))
+    still[near] &= _spectrum(change)[0][:, 0] <= _GROWS * np.linalg.norm(change, axis=(1, 2))
     (at_rest, bound), nearly = _spectrum(exact), _spectrum(closer)[0]
     exponents[near], error[near] = at_rest, 2.0 * np.abs(at_rest - nearly) + bound
-    return Equilibrium(still, fading, exponents, error)
+    return Equilibrium(still, vanished, fading, exponents, error)
 
 
 def _shortest_step(

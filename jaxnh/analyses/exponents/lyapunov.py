@@ -247,9 +247,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     # At rest from the start the flow has no direction, and nothing else has a growth across it.
     candidates = np.flatnonzero(undecided | (unknown & is_finite(averages.growth.state)))
     if len(candidates) and lead:
-        still, _, exponents, bound = detect_equilibrium(
-            batch.take(candidates), lanes, options.transient + options.periods
-        )
+        rest = detect_equilibrium(batch.take(candidates), lanes, options.transient + options.periods)
+        still, exponents, bound = rest.still | rest.vanished, rest.exponents, rest.error
         still &= ~np.any(vanished[candidates], axis=1)  # what comes to rest in finite time has no linearisation there
         resting = candidates[still]
         source[resting] = SOURCES.index("equilibrium")
