@@ -281,8 +281,8 @@ def test_symmetric_orbits_at_isolated_values_of_a_parameter():
     ours = symmetric_orbits(batch, lanes_with_kept_programs(), symmetry, strobes, np.full((3, 1), np.pi), 3)
     assert [{len(orbit.points) for orbit in orbits} for orbits in ours] == [set(), {3}, {2}]
     for orbit in (orbit for orbits in ours for orbit in orbits):
-        assert abs(orbit.value - TURN / len(orbit.points)) <= orbit.value_error + 1e-12
-        assert orbit.value_error < 1e-9
+        assert abs(orbit.value - TURN / len(orbit.points)) <= orbit.value_error  # of a map without steps it is rounding
+        assert 0.0 < orbit.value_error < 1e-9
         assert orbit.multipliers == pytest.approx([1.0], abs=1e-9)
 
 
