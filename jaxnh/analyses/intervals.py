@@ -17,11 +17,15 @@ def normal_quantile() -> float:
 
 
 def binomial_interval(
-    count: Int[np.ndarray, " lanes"], total: int | Int[np.ndarray, " lanes"]
+    count: Int[np.ndarray, " lanes"] | Float[np.ndarray, " lanes"],
+    total: int | Int[np.ndarray, " lanes"] | Float[np.ndarray, " lanes"],
 ) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
-    """Return the ends of the 95 % interval of a share, for numbers of independent draws (Clopper, Pearson 1934)."""
+    """Return the ends of the 95 % interval of a share, for numbers of independent draws (Clopper, Pearson 1934).
+
+    Numbers need not be whole, as of draws that count as fewer independent ones.
+    """
     from scipy.special import betaincinv  # here, as it takes a tenth of a second to import
 
-    low = np.where(count > 0, betaincinv(np.maximum(count, 1), total - count + 1, 0.025), 0.0)
-    high = np.where(count < total, betaincinv(count + 1, np.maximum(total - count, 1), 0.975), 1.0)
+    low = np.where(count > 0, betaincinv(np.where(count > 0, count, 1), total - count + 1, 0.025), 0.0)
+    high = np.where(count < total, betaincinv(count + 1, np.where(count < total, total - count, 1), 0.975), 1.0)
     return low, high

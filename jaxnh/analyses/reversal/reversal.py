@@ -52,7 +52,7 @@ from jaxnh.analyses.options.chaos import LyapunovOptions, ReversalOptions
 from jaxnh.analyses.price import Price, map_alone
 from jaxnh.analyses.reversal.involution import choose_reversal, image_points, images, is_reversible, reversal_of
 from jaxnh.analyses.reversal.rates import Rates, of_attractor, of_repeller
-from jaxnh.analyses.reversal.sets import WITHIN, SetComparison, compare_sets
+from jaxnh.analyses.reversal.sets import WITHIN, SetComparison, compare_sets, overlap_interval
 from jaxnh.analyses.reversal.symmetric_orbits import choose_symmetry, orbit_variables, symmetric_orbits
 from jaxnh.analyses.section_points import points_at
 from jaxnh.analyses.trajectories.states import section_attrs
@@ -238,7 +238,7 @@ def _variables(
     sum_sign, sets = judge_sum(forward, batch.flow.period), judge_sets(compared)
     kind = np.where(reversible, judge(sum_sign, sets), KINDS.index("irreversible"))
     kind = np.where(ended > 0, KINDS.index("failed"), kind)
-    low, high = binomial_interval(compared.within, compared.points)
+    low, high = overlap_interval(compared)
     shares = (compared.within / compared.points, low, high)
     known = np.isfinite(compared.distance) & reversible
     overlap, low, high, distance, error, spacing = (

@@ -14,6 +14,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.intervals import binomial_interval
 from jaxnh.maps.section import System
 
 WITHIN = 0.95
@@ -21,6 +22,7 @@ WITHIN = 0.95
 
 _GAPS = 2.0  # of the distances of neighbours: in points of a curve that are evenly spread gaps differ by as much
 _DRIFT = 3.0  # times the distance of neighbours in a half: that of the halves from each other
+_PAIRS = 2.0  # points of a pair, near the images of each other
 _LEAST_SIZE = 1e-6  # of the largest coordinate: the size of one that is smaller
 
 
@@ -34,6 +36,7 @@ class SetComparison(NamedTuple):
             that to a neighbour in their own, (lanes,).
         within: number of points of one half that have one of the image of the other within the spacing, (lanes,).
         coarse_spacing, within_coarse: the same of quarters of the record against each other, (lanes,).
+        independent: number of independent points whose share within the spacing scatters as much, (lanes,).
         drifting: whether the halves of the record are further from each other than neighbours within them, (lanes,).
         points: number of points of a lane.
     """
@@ -44,6 +47,7 @@ class SetComparison(NamedTuple):
     within: Int[np.ndarray, " lanes"]
     coarse_spacing: Float[np.ndarray, " lanes"]
     within_coarse: Int[np.ndarray, " lanes"]
+    independent: Float[np.ndarray, " lanes"]
     drifting: Bool[np.ndarray, " lanes"]
     points: int
 
@@ -65,12 +69,38 @@ def compare_sets(
     with np.errstate(invalid="ignore"):  # of lanes that have failed
         across, inside = np.quantile(parts[..., 1:], WITHIN, axis=1).transpose(2, 0, 1)
     spacing = np.maximum(np.maximum(across, _GAPS * inside), resolution[:, None])
-    within = np.sum(parts[..., 0] <= spacing[:, None], axis=1)
+    near = parts[..., 0] <= spacing[:, None]
+    within = np.sum(near, axis=1)
     drifting = across[:, 0] > _DRIFT * np.maximum(inside[:, 0], resolution)
     distance, error = np.max(of_image, axis=1), np.max(parts[:, :, 0, 1], axis=1) + resolution
     error = np.where(drifting, np.maximum(error, distance), error)
     fine, coarse = zip(spacing.T, within.T, strict=True)
-    return SetComparison(distance, error, *fine, *coarse, drifting, points.shape[1])
+    return SetComparison(distance, error, *fine, *coarse, independent_points(near[..., 0]), drifting, points.shape[1])
+
+
+def overlap_interval(sets: SetComparison) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, " lanes"]]:
+    """Return the ends of the 95 % interval of the share that other records of that length have within the spacing."""
+    share = sets.within / sets.points
+    return binomial_interval(share * sets.independent, sets.independent)
+
+
+def independent_points(near: Bool[np.ndarray, "lanes n"]) -> Float[np.ndarray, " lanes"]:
+    """Return how many independent points have a share that scatters as that of points along a motion.
+
+    R keeps distances, so that a point near the image of another one has that one near its own image: pairs count
+    twice, and half of the points are independent at most. Points follow each other besides, and stay near the image
+    for some time: autocorrelations say how much more their share varies, summed while the sums of two neighbours are
+    positive (Geyer, Stat. Sci. 7 (1992) 473).
+    """
+    n = near.shape[1]
+    away = near - near.mean(axis=1, keepdims=True)
+    power = np.abs(np.fft.rfft(away, 2 * n, axis=1)) ** 2
+    covariance = np.fft.irfft(power, axis=1)[:, : n - n % 2]
+    variance = np.where(covariance[:, :1] > 0.0, covariance[:, :1], 1.0)
+    pairs = (covariance / variance).reshape(len(near), -1, 2).sum(axis=2)
+    positive = np.logical_and.accumulate(pairs > 0.0, axis=1)
+    time = 2.0 * np.sum(pairs, axis=1, where=positive) - 1.0
+    return n / (_PAIRS * np.maximum(time, 1.0))
 
 
 def _nearest(system: System, points: Float[Array, "n d"], images: Float[Array, "n d"]) -> Float[Array, "n 7"]:

@@ -42,6 +42,7 @@ _LARGEST_STEP = 0.25  # sizes of the motion
 _CONVERGED = 1e-8  # residual, in these sizes
 _NEAR = 1e-5  # in these sizes: points of one orbit, located twice
 _BOX = 1.5  # largest moduli of coordinates, within which the starts are
+_LAST_DIGITS = 4.0  # of a size: rounding of an image of few steps
 _EXACT = 1e-9  # of the distance of a point from its image: it is kept
 _SAMPLES = 64  # points from which those that a reversal keeps are looked for
 
@@ -57,7 +58,7 @@ class SymmetricOrbit(NamedTuple):
         residual: largest component of P(u_i) − u_(i+1) in sizes of the motion.
         pairing: largest modulus of μ μ' − 1 over the multipliers μ, each with the one μ' that makes it least.
         value: of the parameter that is an unknown, not a number where there is none.
-        value_error: what twice the steps change it by, twice, and the last step of Newton.
+        value_error: what twice the steps change it by, twice, the last step of Newton, and rounding.
     """
 
     points: Float[np.ndarray, "n d"]
@@ -106,7 +107,7 @@ def symmetric_orbits(
             roots = _solve(conditions[0], x, unit[lane], wrap, d)
             if name:
                 roots = _within_cells(roots, edges[lane], d)
-                roots = _with_errors(conditions[1], roots, unit[lane], wrap, d)
+                roots = _with_errors(conditions[1], roots, unit[lane], wrap, d, n * batch.steps)
             for number in range(batch.count):
                 mine = select(roots, roots.converged & (lane == number))
                 if len(mine.x):
@@ -231,12 +232,14 @@ class _Roots(NamedTuple):
     Attributes:
         x: the unknowns, (starts, unknowns).
         left: the next step of Newton, (starts, unknowns).
+        slope: of the parameter, in the sizes of all conditions together, (starts,).
         error: of the parameter, (starts,).
         converged: (starts,).
     """
 
     x: Float[np.ndarray, "starts unknowns"]
     left: Float[np.ndarray, "starts unknowns"]
+    slope: Float[np.ndarray, " starts"]
     error: Float[np.ndarray, " starts"]
     converged: Bool[np.ndarray, " starts"]
 
@@ -252,7 +255,7 @@ def _solve(
 ) -> _Roots:
     """Return points by Newton in the least-squares sense, the conditions being twice as many and of half the rank."""
     x, active = np.array(x), np.arange(len(x)) if active is None else active
-    left, residual = np.full(x.shape, np.inf), np.full(len(x), np.inf)
+    left, residual, moved = np.full(x.shape, np.inf), np.full(len(x), np.inf), np.full(len(x), np.nan)
     for _ in range(_STEPS):
         if not len(active):
             break
@@ -262,7 +265,9 @@ def _solve(
         finite = np.isfinite(residual[active]) & np.isfinite(slope).all(axis=(1, 2))
         before, active, missing, slope, size = (each[finite] for each in (before, active, missing, slope, size))
         scaled = slope * unit[active][:, None, :] / size[:, :, None]
-        step = -np.einsum("nij,nj->ni", np.linalg.pinv(scaled, rcond=1e-10), missing / size)
+        inverse = np.linalg.pinv(scaled, rcond=1e-10)
+        step = -np.einsum("nij,nj->ni", inverse, missing / size)
+        moved[active] = np.sum(np.abs(inverse[:, -1]), axis=1) * unit[active, -1]
         left[active] = np.abs(step) * unit[active]
         unsolved = before >= _CONVERGED
         active, step = active[unsolved], step[unsolved]
@@ -270,7 +275,7 @@ def _solve(
         step *= np.where(length > _LARGEST_STEP, _LARGEST_STEP / length, 1.0)[:, None]
         x[active] += step * unit[active]
         x[active, :d] = wrap(x[active, :d])
-    return _Roots(x, left, np.full(len(x), np.nan), residual < _CONVERGED)
+    return _Roots(x, left, moved, np.full(len(x), np.nan), residual < _CONVERGED)
 
 
 def _within_cells(roots: _Roots, edges: Float[np.ndarray, "starts 2"], d: int) -> _Roots:
@@ -280,11 +285,17 @@ def _within_cells(roots: _Roots, edges: Float[np.ndarray, "starts 2"], d: int) -
 
 
 def _with_errors(
-    finer: _Conditions, roots: _Roots, unit: Float[np.ndarray, "starts unknowns"], wrap: Callable, d: int
+    finer: _Conditions, roots: _Roots, unit: Float[np.ndarray, "starts unknowns"], wrap: Callable, d: int, steps: int
 ) -> _Roots:
-    """Return the roots with the errors of their parameter, from conditions with twice the steps."""
+    """Return the roots with the errors of their parameter, from conditions with twice the steps.
+
+    Where steps leave no more than rounding both solutions may be equal, and the next step of Newton zero: a rounding of
+    each step is half a last digit of a size at most, and those of all steps of an orbit add up as their square root.
+    """
     again = _solve(finer, roots.x, unit, wrap, d, np.flatnonzero(roots.converged))
     error = 2.0 * np.abs(again.x[:, d] - roots.x[:, d]) + roots.left[:, d] + again.left[:, d]
+    digits = max(_LAST_DIGITS, np.sqrt(steps)) * roots.slope + np.abs(roots.x[:, d])
+    error += np.finfo(float).eps * digits
     return roots._replace(error=error, converged=roots.converged & again.converged)
 
 
