@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import jaxnh
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.accuracy.own_steps import agree, spread_over_unit
 from jaxnh.engine.accuracy.reference import Reference
@@ -15,6 +16,7 @@ from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
+from jaxnh.solvers import AdaptiveMethod
 from jaxnh.systems.first_order import first_order
 from tests.helpers.kept_programs import lanes_with_kept_programs
 
@@ -170,3 +172,27 @@ def test_a_pulse_that_long_steps_may_pass_is_not_left_to_them(lanes):
     flow, plan = plan_of(pulsed, start, lanes)
     assert plan.solver.name != "adaptive_tsitouras_papakostas8"
     assert worst_error(flow, plan, pulsed, start) < 1.0
+
+
+def swinging_atwood_machine(m=0.4):
+    """Two weights on a thread over pulleys, of which one swings: near r = 0 it turns round in no time."""
+
+    def T(q, v, t):
+        return 0.5 * (1.0 + m) * v[0] ** 2 + 0.5 * m * (q[0] * v[1]) ** 2
+
+    def Q(q, v, t):
+        return m * jnp.cos(q[1]) - 1.0, -m * q[0] * jnp.sin(q[1])
+
+    return {"T": T, "Q": Q, "coordinates": ("r", "theta")}
+
+
+def test_rare_and_violent_turns_are_left_to_steps_of_a_lane_s_own():
+    """Four times the steps that are right in first periods lose a lane later on; its own keep its energy."""
+    m = np.array([1.0 / 3.0, 0.4])
+    session = jaxnh.Session(swinging_atwood_machine, start={"r": 1.0, "theta": 1.5}, target=1e-8)
+    path = session.run(jaxnh.Portrait(transient=0, periods=400, samples=2), m=m)
+    assert isinstance(session.plan.solver, AdaptiveMethod)
+    r, theta, r_dot, theta_dot = (path[name].to_numpy() for name in ("r", "theta", "r_dot", "theta_dot"))
+    m = m[:, None]
+    energy = 0.5 * (1.0 + m) * r_dot**2 + 0.5 * m * (r * theta_dot) ** 2 + r * (1.0 - m * np.cos(theta))
+    assert np.all(np.abs(energy - energy[:, :1]) < 1e-5)

@@ -5,8 +5,9 @@ Samples are taken in `samples`, sizes that errors are relative to in `sizes`, th
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from jaxnh.engine.accuracy.reference import MOST_KICKS, NO_MATTER, refine_refere
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples, differences, gaps_between
 from jaxnh.engine.accuracy.samples import are_lost_by, take_samples
 from jaxnh.engine.accuracy.sizes import sizes_by_name
+from jaxnh.engine.accuracy.step_search import search_steps
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError, LostLaneError
@@ -39,7 +41,6 @@ SAFETY = 2.0
 MOST_REHEARSED = 1 << 13
 """Periods in which steps are to lose no lane, at most."""
 
-_ROUNDS = 8
 _DEAR = 1 << 14  # evaluations of the field a period: those of fewer are not worth a look at other steps
 _REHEARSING = 32  # lanes of which steps are to lose none
 _MOST_PARTS = 1024  # of a unit of time that is too long for its rounding
@@ -237,13 +238,16 @@ class Calibration:
                 raise AccuracyError(refusal)
 
     def rehearse(self, plan: Plan, periods: int) -> Plan:
-        """The plan with as many steps as lose no sample lane within so many periods whose motion stays finite.
+        """The plan with explicit steps of a lane's own, or as many as lose no sample lane within so many periods.
 
-        Samples tell no bound of how violent a motion may become, and lanes once lost do not come back. Tried where
-        steps that were right in the first periods lost lanes in later ones, and by a handful of lanes.
+        Of lanes whose motion stays finite. Samples tell no bound of how violent a motion may become, and lanes once
+        lost do not come back. Tried where steps that were right in the first periods lost lanes in later ones, and by a
+        handful of lanes.
         """
         if not self._violent or self._maps.adaptive or self._maps.parts > 1:
             return plan
+        if not self._maps.sectioned and (own := self._own_plan(plan.solver.total_kicks(plan.steps))):
+            return own
         picked = np.unique(np.linspace(0, len(self._start.row) - 1, _REHEARSING).round().astype(int))
         few, steps, periods = self._start.take_lanes(picked), plan.steps, min(periods, MOST_REHEARSED)
         while are_lost_by(self._maps, few, plan.solver, steps, periods):
@@ -253,6 +257,15 @@ class Calibration:
             steps *= 2
         error = plan.error_estimate if steps == plan.steps else self.error(plan.solver, steps)
         return plan._replace(steps=steps, error_estimate=error, rehearsed=periods)
+
+    def _own_plan(self, kicks: int) -> Plan | None:
+        """The plan with explicit steps of a lane's own, in place of common ones of so many evaluations of the field."""
+        other = copy.copy(self)
+        try:
+            taken = self._target and other._take_own_steps(self._maps, explicit=True, kicks=kicks)
+            return other.cheapest(self._target) if taken else None
+        except AccuracyError:
+            return None
 
     def _cheapest(
         self, target: float, is_short: Callable[[Plan], bool] | None
@@ -339,39 +352,19 @@ class Calibration:
 
     def _best(self, solver: Solver, target: float, most_kicks: int, *, compensated: bool) -> Plan:
         """The plan of one solver with the fewest steps that meet the target, or else the one of the least error."""
-        plans = list(self._search(solver, target, solver.most_steps(most_kicks), compensated))
+        most, first = solver.most_steps(most_kicks), max(2, solver.most_steps(max(2048, self._reference.kicks // 4)))
+        tried = search_steps(
+            lambda steps: self.error(solver, steps, compensated=compensated),
+            target,
+            first,
+            most,
+            float(solver.convergence_order),
+            _PRECISE[self._precision],
+        )
+        plans = [Plan(solver, steps, compensated, error) for steps, error in tried]
         meeting = [plan for plan in plans if plan.error_estimate <= target]
         none = Plan(solver, 1, compensated, math.inf)
         return min(meeting, key=lambda p: p.steps) if meeting else min([*plans, none], key=lambda p: p.error_estimate)
-
-    def _search(self, solver: Solver, target: float, most: int, compensated: bool) -> Iterator[Plan]:
-        """Plans of one solver on the way to the fewest steps that meet the target; nothing above `most` steps."""
-        if most < 1:
-            return
-        failed, met = 0, most + 1
-        steps = min(most, max(2, solver.most_steps(max(2048, self._reference.kicks // 4))))
-        previous, order = math.inf, float(solver.convergence_order)
-        tried: dict[int, float] = {}
-        for _ in range(_ROUNDS):
-            error = self.error(solver, steps, compensated=compensated)
-            yield Plan(solver, steps, compensated, error)
-            if failed and error > target:
-                order = _effective_order(failed, tried[failed], steps, error, order)
-            tried[steps] = error
-            least = 0
-            if error <= target:
-                met = min(met, steps)
-            else:
-                slow = error > 0.5 * previous and error < _PRECISE[self._precision]
-                if steps == most or (slow and steps >= 2 * failed):
-                    return  # no better than a cheaper solver, or rounding
-                least = 2 * failed if slow else 0  # which tell slow convergence from rounding
-                failed, previous = max(failed, steps), error
-            factor = (error / (0.9 * target)) ** (1.0 / order) if 0 < error < math.inf else 2.0
-            guess = math.ceil(steps * min(max(factor, 0.3), 4.0))
-            steps = min(max(guess, failed + 1, least), met - 1, most)
-            if steps <= failed or met - steps <= met // 50:
-                return
 
     def _errors(self, solver: Solver, steps: int, compensated: bool) -> Float[np.ndarray, " samples"]:
         """Error estimate of every sample."""
@@ -391,10 +384,3 @@ class Calibration:
 
     def _largest(self, errors: Float[np.ndarray, " samples"]) -> float:
         return float(errors[self._largest_at(errors)])
-
-
-def _effective_order(few: int, before: float, many: int, after: float, order: float) -> float:
-    """Return the power of the steps with which errors fall, at least one and at most the method's order."""
-    if many <= few or not 0.0 < after < before < math.inf:
-        return order
-    return min(max(math.log(before / after) / math.log(many / few), 1.0), order)
