@@ -169,10 +169,9 @@ def _tangencies(
     lane, kept = _lane_of(meetings, saddles, period), [np.zeros(0, int)]
     for number in np.unique(lane).tolist():
         own = np.flatnonzero(lane == number)
-        part = Tangencies(take(meetings, own), located.value[own], located.error[own])
-        kept.append(own[nearest_tangencies(part, float(batch.p[name][number]))])
+        kept.append(own[nearest_tangencies(located.of(own), float(batch.p[name][number]))])
     order = np.concatenate(kept)
-    return Tangencies(take(located.meetings, order), located.value[order], located.error[order]), lane[order]
+    return located.of(order), lane[order]
 
 
 ANALYSIS = Analysis(

@@ -2,6 +2,9 @@
 
 Unknown are the places on both curves and the parameter. Both points are one and both tangents are parallel: the fold of
 a crossing. What an error does along a curve moves the place and leaves the parameter as it is.
+
+The parameter is measured in what moves the manifolds by a size at a meeting. Its own modulus says nothing of that: an
+offset changes no manifold, and a parameter near zero moves them as much as any other.
 """
 
 from __future__ import annotations
@@ -26,15 +29,19 @@ _CANDIDATES = 12  # of a lane
 _FARTHEST = 0.4  # sizes: curves whose tangents are parallel so near may be tangent at a parameter near by
 _ALIKE = 0.05  # of x, of places that are images of one another
 _TRIVIAL = 0.05  # sizes: of both curves, where they begin
-_PROBES = (1e-6, 1e-6, 1e-7)  # of both x and, in units of itself, the parameter, for differences
-_LARGEST_STEPS = (0.05, 0.05, 0.01)
+_PROBE = 1e-6  # of x, and in sizes: what probes of the parameter move points by
+_DIGITS = 64.0  # spacings of the parameter's numbers: probes are no smaller, as these are what they move it by
+_ALMOST = 10.0  # times: what moves points by as much more or less than a probe would is one as well
+_FACTOR = 1e4  # from a probe to a better one at most: by what is rounding, or bent, it says the direction alone
+_TRIES = 16  # of probes
+_LARGEST_STEP = 0.05  # of x, and of the parameter in its units
 _PLACE_STEPS = 8
 _STEPS = 24
-_NEAR = 1e-4  # of the parameter, in units of itself: a step below it is one of Newton near the solution
-_AT_REST = 1e-9  # of the parameter, in units of itself
-_ZERO = 1e-7  # sizes
-_ROUNDING = 1e-11  # of the parameter, in units of itself
-_SAME = 1e-10  # likewise: values of one tangency, beyond their errors
+_NEAR = 1e-4  # of x, and of the parameter in its units: a step below it is one of Newton near the solution
+_AT_REST = 1e-9  # of the parameter, in its units
+_ZERO = 1e-7  # sizes, across
+_ROUNDING = 1e-11  # sizes, across
+_SAME = 1e-10  # of the parameter, in its units: values of one tangency, beyond their errors
 
 
 class Tangencies(NamedTuple):
@@ -44,11 +51,17 @@ class Tangencies(NamedTuple):
         meetings: the branches, and where on them; `arc` as of the candidates.
         value: of the parameter, (tangencies,), not a number where Newton does not come to rest.
         error: of it, (tangencies,).
+        unit: of the parameter: what moves the manifolds by a size, (tangencies,).
     """
 
     meetings: Meetings
     value: Float[np.ndarray, " tangencies"]
     error: Float[np.ndarray, " tangencies"]
+    unit: Float[np.ndarray, " tangencies"]
+
+    def of(self, which: Int[np.ndarray, " some"]) -> Tangencies:
+        """Return some of them."""
+        return Tangencies(take(self.meetings, which), self.value[which], self.error[which], self.unit[which])
 
 
 def near_tangencies(
@@ -86,6 +99,38 @@ def near_tangencies(
     return take(every, distinct_orbits(every, curves, _ALIKE)[:_CANDIDATES])
 
 
+class _Ends(NamedTuple):
+    """Points of unstable and of stable branches, and where they begin.
+
+    Attributes:
+        points: (2, some, 2).
+        ways: derivatives in x, in sizes, (2, some, 2).
+        saddles: points of the orbits, (2, some, 2).
+        size: (some, 2).
+    """
+
+    points: Float[np.ndarray, "2 some 2"]
+    ways: Float[np.ndarray, "2 some 2"]
+    saddles: Float[np.ndarray, "2 some 2"]
+    size: Float[np.ndarray, "some 2"]
+
+
+class _NewtonStep(NamedTuple):
+    """A step of Newton at some places and parameters.
+
+    Attributes:
+        gap: across, before it, in sizes.
+        place: what it moves x by, the more of both.
+        value: what it moves the parameter by.
+        rounding: what that of the gap across moves the parameter by.
+    """
+
+    gap: Float[np.ndarray, " some"]
+    place: Float[np.ndarray, " some"]
+    value: Float[np.ndarray, " some"]
+    rounding: Float[np.ndarray, " some"]
+
+
 class _System(NamedTuple):
     """The equations of tangencies near some parameters.
 
@@ -95,6 +140,8 @@ class _System(NamedTuple):
         which: numbers of the maps, 0 or 1 for twice the steps.
         meetings: the branches.
         directions: that their germs have at the parameters of their lanes.
+        probe: of the parameter, for differences, (meetings,).
+        unit: of the parameter, (meetings,).
     """
 
     batch: LaneBatch
@@ -106,12 +153,15 @@ class _System(NamedTuple):
     which: int
     meetings: Meetings
     directions: tuple[np.ndarray, np.ndarray]
+    probe: Float[np.ndarray, " meetings"]
+    unit: Float[np.ndarray, " meetings"]
 
-    def residual(self, number: Int[np.ndarray, " some"], z: Float[np.ndarray, "some 3"]) -> Float[np.ndarray, "some 3"]:
-        """Return the gap along the stable branch, the rate of that across, and the gap across, in sizes.
+    def of(self, which: Int[np.ndarray, " some"]) -> _System:
+        """Return the system of some of its meetings."""
+        return self._replace(meetings=take(self.meetings, which), probe=self.probe[which], unit=self.unit[which])
 
-        The rate is that in x of the unstable branch. Where this is a parabola in x, however sharp, it is linear.
-        """
+    def ends(self, number: Int[np.ndarray, " some"], z: Float[np.ndarray, "some 3"]) -> _Ends:
+        """Return the points at places and parameters, not numbers where there are none."""
         at, lane = [], self.saddles.lane[self.meetings.unstable[number] // (2 * self.saddles.points.shape[1])]
         size = self.size[lane]
         for k, branches in enumerate((self.meetings.unstable, self.meetings.stable)):
@@ -130,61 +180,103 @@ class _System(NamedTuple):
             places = np.flatnonzero(fine)
             if len(places):
                 points[fine], ways[fine] = tangents(self.lanes, curves, places, z[places, k])
-            at.append((points, ways / size))
-        gap = self.batch.chart.wrap(at[0][0] - at[1][0]) / size
-        with np.errstate(divide="ignore", invalid="ignore"):
-            way = at[1][1] / np.linalg.norm(at[1][1], axis=1, keepdims=True)
-        return np.stack([np.sum(gap * way, axis=1), _cross(at[0][1], way), _cross(gap, way)], axis=1)
+            at.append((points, ways / size, germs.points))
+        points, ways, begun = (np.stack(leaves) for leaves in zip(*at, strict=True))
+        return _Ends(points, ways, begun, size)
 
-    def solve(self, z: Float[np.ndarray, "some 3"]) -> tuple[Float[np.ndarray, "some 3"], Float[np.ndarray, " some"]]:
-        """Return the solutions of Newton, not numbers where it does not come to rest, and its last step.
+    def residual(self, number: Int[np.ndarray, " some"], z: Float[np.ndarray, "some 3"]) -> Float[np.ndarray, "some 3"]:
+        """Return the gap along the stable branch, the rate of that across, and the gap across, in sizes.
+
+        The rate is that in x of the unstable branch. Where this is a parabola in x, however sharp, it is linear.
+        """
+        at = self.ends(number, z)
+        gap = self.batch.chart.wrap(at.points[0] - at.points[1]) / at.size
+        with np.errstate(divide="ignore", invalid="ignore"):
+            way = at.ways[1] / np.linalg.norm(at.ways[1], axis=1, keepdims=True)
+        return np.stack([np.sum(gap * way, axis=1), _cross(at.ways[0], way), _cross(gap, way)], axis=1)
+
+    def measured(self, z: Float[np.ndarray, "some 3"]) -> _System:
+        """Return the system with probes and units of the parameter at these places.
+
+        A probe moves points by as much as differences need; it is looked for from a millionth of the parameter on. A
+        unit is what it would take to move a saddle, or a manifold across itself, by a size.
+        """
+        number, ways = np.arange(len(z)), self.ends(np.arange(len(z)), z).ways
+        largest = np.abs(z[:, 2])
+        least = _DIGITS * np.spacing(largest)
+        probe = np.maximum(_PROBE * np.where(largest == 0.0, 1.0, largest), least)
+        unit, far = np.full(len(z), np.nan), np.ones(len(z), bool)
+        for _ in range(_TRIES):
+            shift = probe[:, None] * np.eye(3)[2]
+            high, low = self.ends(number, z + shift), self.ends(number, z - shift)
+            points, saddles = (
+                self.batch.chart.wrap(end - begin) / (2.0 * high.size)
+                for begin, end in ((low.points, high.points), (low.saddles, high.saddles))
+            )
+            with np.errstate(divide="ignore", invalid="ignore"):
+                across = np.abs(_cross(points, ways)) / np.linalg.norm(ways, axis=2)
+                begun = np.linalg.norm(saddles, axis=2)
+                unit = probe / np.maximum(across, begun).max(axis=0)
+                factor = _PROBE / np.maximum(np.linalg.norm(points, axis=2), begun).max(axis=0)
+            factor = np.clip(np.nan_to_num(factor, nan=0.0), 1.0 / _FACTOR, _FACTOR)
+            better = np.maximum(probe * factor, least)
+            far = np.maximum(better / probe, probe / better) > _ALMOST
+            if not far.any():
+                break
+            probe = np.where(far, better, probe)
+        return self._replace(probe=probe, unit=np.where(far, np.nan, unit))
+
+    def solve(self, z: Float[np.ndarray, "some 3"]) -> tuple[Float[np.ndarray, "some 3"], Float[np.ndarray, "some 2"]]:
+        """Return the solutions of Newton, not numbers where it does not come to rest, their errors and units.
 
         Places where tangents are parallel are solved for alone first, and after each step of the parameter.
         """
-        z, last = z.copy(), np.full(len(z), np.inf)
+        z, error = z.copy(), np.full(len(z), np.inf)
         self.steps(z, 2, _PLACE_STEPS)
+        system = self.measured(z)
         result, open_ = np.full_like(z, np.nan), np.arange(len(z))
         for _ in range(_STEPS):
-            part = self._replace(meetings=take(self.meetings, open_))
-            now = z[open_]
-            gap, last[open_] = part.steps(now, 3, 1)
-            rest = (last[open_] < _AT_REST) & (gap < _ZERO)
-            result[open_[rest]] = now[rest]
+            part, now = system.of(open_), z[open_]
+            last = part.steps(now, 3, 1)
+            spacing = np.spacing(np.abs(now[:, 2]))
+            # Rounding moves places, and the gap along, by much more than what is across and decides the parameter.
+            rest = (last.value < np.maximum(_AT_REST * part.unit, spacing)) & (last.gap < _ZERO) & (last.place < _NEAR)
+            result[open_[rest]], error[open_[rest]] = now[rest], (last.value + last.rounding + spacing)[rest]
             left = ~rest & np.isfinite(now).all(axis=1)
+            near = (last.value <= _NEAR * part.unit)[left].all()
             open_, now = open_[left], now[left]
             if not len(open_):
                 break
-            if (last[open_] > _NEAR).any():
-                part._replace(meetings=take(self.meetings, open_)).steps(now, 2, 2)
+            if not near:
+                system.of(open_).steps(now, 2, 2)
             z[open_] = now
-        return result, last
+        return result, np.stack([error, system.unit], axis=1)
 
-    def steps(
-        self, z: Float[np.ndarray, "some 3"], free: int, count: int
-    ) -> tuple[Float[np.ndarray, " some"], Float[np.ndarray, " some"]]:
-        """Make steps of Newton on the first unknowns, in place, not numbers where there is none.
-
-        Returns:
-            The largest residual before the last one, and what it moves the parameter by, in units of itself.
-        """
-        gap, moved = np.full(len(z), np.inf), np.zeros(len(z))
+    def steps(self, z: Float[np.ndarray, "some 3"], free: int, count: int) -> _NewtonStep:
+        """Make steps of Newton on the first unknowns, in place, not numbers where there is none; return the last."""
+        last = _NewtonStep(*np.full((4, len(z)), np.nan))
         shifts = np.concatenate([np.zeros((1, 3)), np.eye(3)[:free], -np.eye(3)[:free]])
+        one = np.ones(len(z))
+        probes = np.stack([_PROBE * one, _PROBE * one, self.probe], axis=1)
+        largest = _LARGEST_STEP * np.stack([one, one, self.unit], axis=1)
         for _ in range(count):
-            unit = np.stack([np.ones(len(z)), np.ones(len(z)), np.maximum(np.abs(z[:, 2]), 1e-3)], axis=1)
-            probes = np.array(_PROBES) * unit
-            every = (z[None] + shifts[:, None] * probes[None]).reshape(-1, 3)
-            values = self.residual(np.tile(np.arange(len(z)), len(shifts)), every)
+            every = z[None] + shifts[:, None] * probes[None]
+            values = self.residual(np.tile(np.arange(len(z)), len(shifts)), every.reshape(-1, 3))
             values = values.reshape(len(shifts), len(z), 3)[:, :, :free]
-            jacobian = np.moveaxis((values[1 : free + 1] - values[free + 1 :]) / 2.0, 0, 2) / probes[:, None, :free]
+            width = (every[1 : free + 1] - every[free + 1 :]).diagonal(axis1=0, axis2=2)  # of numbers as they are
+            jacobian = np.moveaxis(values[1 : free + 1] - values[free + 1 :], 0, 2) / width[:, None]
             step = np.full((len(z), free), np.nan)
             fine = np.isfinite(values).all(axis=(0, 2)) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0.0)
             step[fine] = np.linalg.solve(jacobian[fine], values[0][fine][..., None])[..., 0]
             with np.errstate(invalid="ignore", divide="ignore"):
-                share = np.minimum(1.0, np.min((np.array(_LARGEST_STEPS) * unit)[:, :free] / np.abs(step), axis=1))
+                share = np.minimum(1.0, np.min(largest[:, :free] / np.abs(step), axis=1))
+                if free > 2:
+                    rounding = _ROUNDING / np.abs(jacobian[:, 2, 2])
+                    last = _NewtonStep(
+                        np.abs(values[0, :, 2]), np.abs(step[:, :2]).max(axis=1), np.abs(step[:, 2]), rounding
+                    )
             z[:, :free] -= share[:, None] * step
-            gap = np.abs(values[0]).max(axis=1)
-            moved = np.abs(step[:, 2]) / unit[:, 2] if free > 2 else moved
-        return gap, moved
+        return last
 
 
 def locate_tangencies(
@@ -209,29 +301,28 @@ def locate_tangencies(
     saddle = meetings.unstable // (2 * saddles.points.shape[1])
     values = np.asarray(batch.p[name], float)[saddles.lane[saddle]]
     start, solved = np.concatenate([meetings.x, values[:, None]], axis=1), list[np.ndarray]()
-    last = np.zeros(len(start))
+    more = np.full((len(start), 2), np.nan)
     for which in (0, 1):
-        system = _System(batch, lanes, sides, saddles, size, name, which, meetings, directions)
+        none = np.zeros(len(start))  # places alone move before it is measured
+        system = _System(batch, lanes, sides, saddles, size, name, which, meetings, directions, none, none)
         known = np.flatnonzero(np.all(np.isfinite(start), axis=1))
         result = np.full_like(start, np.nan)
-        part = system._replace(meetings=take(meetings, known))
         if len(known):
-            result[known], last[known] = part.solve(start[known])
+            result[known], more[known] = system.of(known).solve(start[known])
         solved.append(result)
         start = result
-    (coarse, fine), unit = solved, np.maximum(np.abs(values), 1e-3)
-    error = np.abs(fine[:, 2] - coarse[:, 2]) + unit * (last + _ROUNDING)
-    return Tangencies(meetings._replace(x=fine[:, :2]), fine[:, 2], error)
+    coarse, fine = solved
+    error = np.abs(fine[:, 2] - coarse[:, 2]) + more[:, 0]
+    return Tangencies(meetings._replace(x=fine[:, :2]), fine[:, 2], error, more[:, 1])
 
 
 def nearest_tangencies(tangencies: Tangencies, value: float) -> Int[np.ndarray, " kept"]:
     """Return the numbers of those nearest to a value of the parameter, each once."""
     kept = list[int]()
     for i in np.argsort(np.abs(tangencies.value - value), kind="stable").tolist():
-        unit = _SAME * max(abs(value), 1e-3)
+        same = _SAME * tangencies.unit[i] + tangencies.error[i] + tangencies.error
         if np.isfinite(tangencies.value[i]) and all(
-            abs(tangencies.value[i] - tangencies.value[j]) > unit + tangencies.error[i] + tangencies.error[j]
-            for j in kept
+            abs(tangencies.value[i] - tangencies.value[j]) > same[j] for j in kept
         ):
             kept.append(i)
     return np.array(kept[:KEPT], int)
