@@ -89,6 +89,15 @@ def test_cascade_of_the_area_preserving_quadratic_map():
     assert int(branches["not_located"]) == 0
 
 
+def test_a_search_for_doublings_names_what_follows_orbits_that_nothing_settles_on():
+    session = jaxnh.Session(quadratic, start={"x": 0.3, "y": 0.35})
+    with pytest.warns(
+        jaxnh.JaxnhWarning, match="orbits that no motion settles on are followed by branches with n_starts"
+    ):
+        found = session.run(jaxnh.Doubling(levels=2, search=False), a=np.linspace(2.5, 3.4, 32))
+    assert int(found["levels_found"]) == 0
+
+
 def test_standard_map():
     """The fixed point (π, 0) doubles at K = 4, where its trace is 2 − K, and nothing else is of period 1 there."""
     session = jaxnh.Session(standard, start={"theta": 3.0, "p": 0.0})

@@ -172,8 +172,7 @@ def _warnings(axis: Axis, levels: int, cascade: Cascade) -> str:
     lines = []
     if cascade.end:
         end, *more = cascade.end.split("\n")
-        advice = "" if cascade.points else "; orbits that no motion settles on are followed by branches with n_starts"
-        lines = [f"{len(cascade.points)} of {levels} levels found; {end}{advice}", *more]
+        lines = [f"{len(cascade.points)} of {levels} levels found; {end}", *more]
     if cascade.outside:
         ends = f"{axis.values[0]:.6g} to {axis.values[-1]:.6g}"
         lines.append(f"doublings were found beyond the sweep, which is {axis.name} = {ends}")

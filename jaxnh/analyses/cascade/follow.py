@@ -36,6 +36,7 @@ _LONGEST_SEEN = 64  # period that a survey looks for, whatever the cascade comes
 _LONG = 32  # periods above are followed by multiple shooting alone, from one level to the next
 _BEYOND, _UP_TO = 0.4, 1.5  # shares of the distance expected to the next doubling
 _SHOWN = 6  # tries in words
+_SELDOM = 0.5  # of the lanes that have a period: motions may settle on no orbit, as conservative ones
 
 
 class Cascade(NamedTuple):
@@ -277,4 +278,6 @@ class _Steps:
         ]
         more = [f"{len(words) - _SHOWN} more"] if len(words) > _SHOWN else []
         tried = ", ".join([*words[:_SHOWN], *more]) or f"nothing, as no period ends between two values of {name}"
-        return f"{describe_periods(line, name, self.limit)}; tried: {tried}"
+        seldom = np.mean(line.period > 0) < _SELDOM and not any(self.tried.values())
+        advice = "; orbits that no motion settles on are followed by branches with n_starts" if seldom else ""
+        return f"{describe_periods(line, name, self.limit)}; tried: {tried}{advice}"
