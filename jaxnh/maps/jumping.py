@@ -212,15 +212,14 @@ class _Lane:
         ahead = self._restore(t, self._advance(march.t, h, march.side, march.moving), march.side)
         reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
         before = self._sides_of_heights(march.side)
-        last = march.step == self.strobe.steps - 1
-        on_wall = tuple(jnp.where(last, _near_wall(r, jnp.asarray(self.strobe.grid)), -1.0) for r in reading.rate)
-        passages = passages_within(march, reading, h, before, self._numbers, self._either, seeking, finite, on_wall)
+        numbers, either, on_wall = self._numbers, self._either, self._on_wall(march, reading)
+        passages = passages_within(march, reading, h, before, numbers, either, seeking, finite, on_wall)
         seen, sought = passages.seen, march.sought
         pausing = ~seen & jnp.isfinite(passages.turn)
         fresh = seen | pausing  # a passage or a turn to go to
 
         # Newton on the one that is sought.
-        either = pick(sought, [jnp.bool_(x) for x in self._either])
+        either = pick(sought, [jnp.bool_(x) for x in either])
         side = pick(sought, before)
         rising = jnp.where(either, -side, 1.0)
         sought_height, sought_rate = pick(sought, reading.height), pick(sought, reading.rate)
@@ -265,6 +264,11 @@ class _Lane:
         return ended, arrival
 
     # ---- parts of a trial
+
+    def _on_wall(self, march: March, reading: Reading) -> Heights:
+        """Heights below which a motion that comes nearer has arrived with the end of a trial, of the last step."""
+        last, grid = march.step == self.strobe.steps - 1, jnp.asarray(self.strobe.grid)
+        return tuple(jnp.where(last, _near_wall(rate, grid), -1.0) for rate in reading.rate)
 
     def _restore(self, t: Array, moving: Moving, side: Heights) -> Moving:
         """Bring what is held back to where it is held, and velocities to the constraints that act."""

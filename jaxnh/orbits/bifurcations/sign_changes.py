@@ -26,7 +26,7 @@ _STEPS = 0.1  # of a function, that twice the steps change it by: its sign may b
 
 
 def known_signs(families: Sequence[Family], at: PathVector, ways: PathVector) -> Bool[np.ndarray, " lanes"]:
-    """Tell where the sign of the test function of pairs is that of the flow.
+    """Tell where the sign of the test function of pairs is that of the flow, or nothing says that it is not.
 
     Args:
         families: the map, and the same with twice the steps.
@@ -37,12 +37,12 @@ def known_signs(families: Sequence[Family], at: PathVector, ways: PathVector) ->
     orbits = correct(family, *at, ways, FINE)
     test = _of_pairs(family, orbits)
     draws = np.random.default_rng(0).uniform(-1.0, 1.0, (_DRAWS, *orbits.blocks.shape[1:]))
-    known = np.isfinite(test)
+    known = np.ones(len(test), bool)
     for draw in draws:
         changed = orbits._replace(blocks=orbits.blocks * (1.0 + _LAST_DIGITS * draw))
-        known &= np.abs(_of_pairs(family, changed) - test) < np.abs(test)
+        known &= ~(np.abs(_of_pairs(family, changed) - test) >= np.abs(test))
     if finer is not family:
-        known &= np.abs(_of_pairs(finer, correct(finer, *at, ways, FINE)) - test) < _STEPS * np.abs(test)
+        known &= ~(np.abs(_of_pairs(finer, correct(finer, *at, ways, FINE)) - test) >= _STEPS * np.abs(test))
     return known
 
 
