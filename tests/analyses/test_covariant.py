@@ -150,6 +150,32 @@ def test_the_cat_map_is_hyperbolic():
     assert words(data, "kind") == "hyperbolic"
 
 
+def turning(r=0.8, turn=1.0, tilt=0.5):
+    """A plane that turns and shrinks, and a direction at an angle to it, by its tangent, that shrinks faster."""
+
+    def image(s):
+        x, y, z = s
+        c, q = r * jnp.cos(turn), r * jnp.sin(turn)
+        u = x - tilt * z
+        return c * u - q * y + tilt * 0.3 * z, q * u + c * y, 0.3 * z
+
+    return {"map": image, "coordinates": ("x", "y", "z")}
+
+
+def test_directions_of_equal_exponents_have_no_angle():
+    """A focus has no directions of its own: which are taken depends on where the sweeps began. Strobes rest, at zero."""
+    data = jaxnh.Session(turning, start={"x": 1.0, "y": 0.3, "z": 0.2}).run(
+        jaxnh.Covariant(strobes=1024, transient=4096)
+    )
+    assert np.all(np.abs(data["exponents"] - np.log([0.8, 0.8, 0.3])) <= data["exponents_error"])
+    assert list(jaxnh.labels(data["tangency"])) == ["undecided", "bounded"]
+    for name in ("angle_min", "angle_min_half", "angle_min_quarter", "angle_median"):
+        assert np.isnan(data[name][0])
+    assert np.isnan(data["angle_density"][0]).all()
+    assert float(data["angle_min"][1]) == pytest.approx(np.arctan(2.0), abs=1e-7)
+    assert words(data, "kind") == "regular"
+
+
 def coupled(eps=0.3, r=3.7):
     """Two logistic maps: in step from 0.3 on, at 0.02 both directions grow, and nowhere are they all stretched."""
 

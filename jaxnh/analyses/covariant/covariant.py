@@ -32,6 +32,8 @@ from jaxnh.analyses.covariant.hyperbolicity import (
     KINDS,
     SPLITS,
     TANGENT,
+    UNDECIDED,
+    exponents_alike,
     judge,
     judge_search,
     judge_splits,
@@ -167,6 +169,8 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
     hidden = np.all(vectors.rounding >= HIDDEN, axis=1)
     sound = motions.sound
     splits = judge_splits(angles)
+    alike = exponents_alike(each.mean[:, :k], each.error[:, :k]) & ~hidden[:, 1:]
+    splits[alike] = UNDECIDED
     vanishing = np.zeros((batch.count, k), np.bool_)
     if isinstance(batch.system, DiscreteMap):  # flows have an inverse
         vanishing = judge_splits(np.exp(volume_growth(vectors))) == TANGENT
@@ -179,10 +183,13 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
     ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], motions.states))["status"]
     density = _densities(angles)
     values, errors = (np.where(hidden, np.nan, leaf[:, :k]) for leaf in each)
-    angles[~sound], splits[~sound], density[~sound] = np.nan, SPLITS.index("undecided"), np.nan
+    splits[~sound] = UNDECIDED
+    for leaf in (angles, density, *searched.values()):
+        leaf[~sound], leaf[alike] = np.nan, np.nan
     shares = [np.min(angles[..., : int(share * angles.shape[-1])], axis=-1) for share in _SHARES]
     rate, between = rate_attrs(batch.flow), (LANE, "split")
     words = "smallest angle between the first vectors and the others"
+    undefined = "not a number where exponents on its sides may be equal: directions are none of the motion's then"
     edges = np.linspace(0.0, np.pi / 2, _BINS + 1)
     return {
         "exponent": variable("exponent", np.arange(1, k + 1), "number of the vector, largest exponent first"),
@@ -194,7 +201,7 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
             (LANE, "exponent"), values, "Lyapunov exponents of the vectors", **rate, comment=_COMMENT
         ),
         "exponents_error": variable((LANE, "exponent"), errors, "error of the exponents at 95 %", **rate),
-        "angle_min": variable(between, np.min(angles, axis=-1), words, "rad"),
+        "angle_min": variable(between, np.min(angles, axis=-1), words, "rad", comment=undefined),
         "angle_min_half": variable(between, shares[1], f"{words}, of the first half of the points", "rad"),
         "angle_min_quarter": variable(between, shares[0], f"{words}, of the first quarter of the points", "rad"),
         **{name: variable(between, values, f"{words}, by a search", "rad") for name, values in searched.items()},
@@ -259,7 +266,7 @@ def table(data: xr.Dataset, published: Any = None, source: str = "") -> Table:
     """Return how many lanes are of each kind, with the ranges of their largest exponents and smallest angles."""
     columns = {
         "largest exponent": data["exponents"].isel(exponent=0).to_numpy(),
-        "smallest angle (rad)": data["angle_min"].transpose(..., "split").to_numpy().min(axis=-1),
+        "smallest angle (rad)": np.fmin.reduce(data["angle_min"].transpose(..., "split").to_numpy(), axis=-1),
     }
     caption = f"{data.attrs.get('strobes', '')} points a lane"
     return table_of_kinds("Covariant Lyapunov vectors", data, KINDS, columns, caption)

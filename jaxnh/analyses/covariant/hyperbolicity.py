@@ -48,6 +48,13 @@ def judge_splits(angles: Float[np.ndarray, "lanes splits points"]) -> Int8[np.nd
     return np.select(conditions, [BOUNDED, TANGENT], UNDECIDED).astype(np.int8)
 
 
+def exponents_alike(
+    exponents: Float[np.ndarray, "lanes d"], error: Float[np.ndarray, "lanes d"]
+) -> Bool[np.ndarray, "lanes splits"]:
+    """Return where an exponent and the next may be equal, as at a focus: their directions are none of the motion's."""
+    return ~(exponents[:, :-1] - exponents[:, 1:] > error[:, :-1] + error[:, 1:])
+
+
 def small_angles(angles: Float[np.ndarray, "lanes splits points"]) -> Float[np.ndarray, "lanes splits"]:
     """Return an eighth of the angles that one in twenty fall short of."""
     return np.quantile(angles, _SHARE, axis=-1) / _NEARER
@@ -101,7 +108,7 @@ def judge(
     needed = [_at(splits, growing), _at(splits, growing + zero)]
     stretched = ~np.take_along_axis(vanishing, np.maximum(growing, 1)[:, None] - 1, axis=1)[:, 0]
     clear = (zero <= neutral) & negative.any(axis=1) & stretched
-    gap = exponents[:, :-1] - exponents[:, 1:] > error[:, :-1] + error[:, 1:]
+    gap = ~exponents_alike(exponents, error)
     expanding = sums[:, :-1] > sums_error[:, :-1]
     conditions = [
         ~np.isfinite(exponents).all(axis=1),
