@@ -277,7 +277,6 @@ class LaneRunner(Protocol):
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
-        spread: bool = True,
     ) -> np.ndarray: ...
 
     @overload
@@ -290,7 +289,6 @@ class LaneRunner(Protocol):
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
-        spread: bool = True,
     ) -> Result:
         """function(*shared, *lane, *static) for every lane, results stacked along a new first axis."""
 

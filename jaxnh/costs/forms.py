@@ -112,4 +112,4 @@ def _run(batch: LaneBatch, lanes: LaneExecutor, count: int, work: float) -> floa
 def _runner(lanes: LaneExecutor, count: int) -> LaneExecutor:
     """An executor like that of a run of so many lanes, which finds no programs."""
     apart = LaneExecutor(devices=lanes.devices, programs=Programs(kept=False))
-    return apart.in_tiles(lanes_a_tile(count), count)
+    return apart.in_tiles(lanes_a_tile(count))

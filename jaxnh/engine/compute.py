@@ -96,7 +96,7 @@ def numerical_plan(plan: Plan, chosen: Mapping[str, Mapping[str, int]]) -> Numer
 def executor_for(analysis: Analysis, options: Options, count: int, lanes: LaneExecutor, plan: Plan) -> LaneExecutor:
     """The executor in tiles for a sweep of so many lanes, of an analysis that has no others than these."""
     by_lane = analysis.independent(options) and analysis.starts(options) is None
-    return lanes.in_tiles(lanes_a_tile(count, plan.kicks), count) if by_lane else lanes
+    return lanes.in_tiles(lanes_a_tile(count, plan.kicks)) if by_lane else lanes
 
 
 # ---- pieces

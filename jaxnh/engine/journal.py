@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from time import perf_counter
 from typing import Any
 
 import jax
 
 from jaxnh.engine.cache.fingerprints import CallFingerprints
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.engine.executor.tiles import Call, Tiles, count_of
+from jaxnh.engine.executor.tiles import Call, TileResults, Tiles, count_of
 from jaxnh.storage.calls import CallJournal, JournalEntry
 
 _WORTH_KEEPING = 0.002
@@ -28,23 +27,22 @@ class _JournaledTiles:
         self._tiles, self._journal = tiles, journal
         self._fingerprints, self._calls = CallFingerprints(), 0
 
-    def run(self, call: Call, first: int = 0) -> Iterator[tuple[int, Any]]:
+    def run(self, call: Call, first: int = 0) -> Iterator[TileResults]:
         number, self._calls = self._calls, self._calls + 1
         name = self._name_of(call)
         if entries := self._journal.take_entries(number, name):
             structure = _result_structure(call)
             for entry in entries:
-                yield first, jax.tree.unflatten(structure, entry.leaves)
+                yield TileResults(first, jax.tree.unflatten(structure, entry.leaves), 0.0)
                 first = entry.first + len(entry.leaves[0])
         if first == count_of(call.lanes):
             return
-        begin, worth_keeping = perf_counter(), True
-        for start, result in self._tiles.run(call, first):
-            worth_keeping &= perf_counter() - begin >= _WORTH_KEEPING
+        worth_keeping = True
+        for tile in self._tiles.run(call, first):
+            worth_keeping &= tile.seconds >= _WORTH_KEEPING
             if worth_keeping:
-                self._journal.add(JournalEntry(number, start, name, tuple(jax.tree.leaves(result))))
-            yield start, result
-            begin = perf_counter()
+                self._journal.add(JournalEntry(number, tile.first, name, tuple(jax.tree.leaves(tile.each))))
+            yield tile
 
     def _name_of(self, call: Call) -> str:
         """Fingerprint of all links and of what the first is given."""

@@ -74,7 +74,7 @@ def calibrate(
         solver = SOLVERS[asked.solver] if asked.solver else None
         sampled = sum(count_of(row.start) for row in rows)  # random starts among them, more than the sweep has lanes
         tile = cost_model.lanes_a_tile(max(sampled, experiment.sweep.lanes, 2))  # of one lane too there are many states
-        few = lanes.in_tiles(tile, tile) if tile < lanes.tile else lanes  # whose programs analyses share
+        few = lanes.in_tiles(tile) if tile < lanes.tile else lanes  # whose programs analyses share
         return Calibration(rows, few, experiment.precision, target, asked.sizes, solver)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
@@ -182,7 +182,7 @@ def with_step_classes(
     [sampled] = sample_places(axes, _LANES_CHECKED)
     shape = [len(axis.values) for axis in axes]
     every = points(experiment, axes, np.unravel_index(np.arange(count), shape))
-    few = lanes.on_host().in_tiles(cost_model.lanes_a_tile(count), count)
+    few = lanes.on_host().in_tiles(cost_model.lanes_a_tile(count))
     with lanes.stage("accuracy: steps of lanes of their own", 0):
         search = ClassSearch(every, plan, experiment.accuracy.target, few)
         classes = find_classes(search, np.ravel_multi_index(sampled, shape))

@@ -119,17 +119,15 @@ def test_a_result_names_its_form():
     assert jaxnh.Session(jaxnh.Experiment.from_text(TEXT % (2, 64), SOURCE)).tree().attrs["stages"] == "loop"
 
 
-def test_lanes_of_one_tile_go_to_one_device():
-    """Bits are those of a spread over two, and there is nothing for the second to do."""
-    both = LaneExecutor(devices=jax.devices("cpu")[:2])
+def test_tiles_on_all_cores_have_the_program_of_one():
+    """Those of a call go to as many threads as there are cores, in order and with the same bits."""
+    one, both = (LaneExecutor(devices=jax.devices("cpu")[:n], tile=2) for n in (1, 2))
     strobe = make_return_map(FLOW.system, in_loop(verner9), 50)
     call = iterate, (strobe, np.int32(40)), (FLOW.start, dict(FLOW.parameters))
-    few, many = both.in_tiles(8, 3), both.in_tiles(8, 9)
-    assert [len(executor.devices) for executor in (few, many)] == [2, 2]
-    for one, other in zip(jax.tree.leaves(few(*call)), jax.tree.leaves(many(*call)), strict=True):
-        np.testing.assert_array_equal(one, other)
-    text = [executor.program(*call)[0] for executor in (few, many)]
-    assert ["num_partitions=2" in each for each in text] == [False, True]
+    for few, many in zip(jax.tree.leaves(one(*call)), jax.tree.leaves(both(*call)), strict=True):
+        np.testing.assert_array_equal(few, many)
+    assert [len(executor.programs) for executor in (one, both)] == [1, 1]
+    assert not any("num_partitions=2" in executor.program(*call)[0] for executor in (one, both))
 
 
 def test_equal_parts_of_a_period_are_one_program(lanes):

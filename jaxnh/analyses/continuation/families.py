@@ -24,7 +24,6 @@ _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and
 # On a section, whose returns are of many steps, arithmetic decides: of the flows in configs/flows eight lanes take the
 # time of four, and 32 take five to ten times as long (derivatives of peroxidase.yaml: 16, 17 and 172 ms).
 _ON_SECTION = 8
-_MANY = 4  # such tiles, that take more than one device: others would compute what fills up tiles
 
 
 def check_plane(what: str, setting: Setting) -> Setting:
@@ -81,8 +80,7 @@ def orbit_family(
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, " lanes"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        spread = tile == _TILE or len(u) > _MANY * tile
-        return lanes(derivatives, shared, (u, batch.at_values(values).p), tile=tile, static=(name,), spread=spread)
+        return lanes(derivatives, shared, (u, batch.at_values(values).p), tile=tile, static=(name,))
 
     # Both directions of branches fill a tile of long returns; more of them at once may be one branch many times.
     return Family(period, batch.chart.wrap, size, *ends, at_once=tile // 8)

@@ -181,14 +181,12 @@ def arc_problem(
     def ends_of(start: np.ndarray, length: np.ndarray, side: np.ndarray, event: np.ndarray, values: np.ndarray):
         own = (start, length, side, event.astype(np.int32), values, at(values))
         shared = (system, solver, np.int32(steps), period)
-        known = lanes(arc_end, shared, own, tile=_ARCS, static=(names,), spread=False)
+        known = lanes(arc_end, shared, own, tile=_ARCS, static=(names,))
         end, by_start, by_length, by_values = (ArcEnds(*map(np.array, part)) for part in known)
         return end, by_start, by_length, by_values
 
     def places_of(start: np.ndarray, length: np.ndarray, side: np.ndarray, values: np.ndarray):
-        known = lanes(
-            arc_samples, (flow, solver, np.int32(few)), (start, length, side, at(values)), tile=_ARCS, spread=False
-        )
+        known = lanes(arc_samples, (flow, solver, np.int32(few)), (start, length, side, at(values)), tile=_ARCS)
         return ArcPlaces(*map(np.asarray, known))
 
     assert isinstance(flow, PiecewiseSmooth)
@@ -249,9 +247,7 @@ def _events(batch: LaneBatch, lanes: LaneRunner, branch: Branch) -> EventSequenc
     """The events of all orbits of a branch, period by period, (k, n, ...)."""
     k, n, d = branch.points.shape
     p = batch.at_values(np.repeat(branch.value, n)).p
-    known = lanes(
-        event_sequence, (batch.strobe(),), (branch.points.reshape(-1, d), p), tile=_TILE, static=(_ROOM,), spread=False
-    )
+    known = lanes(event_sequence, (batch.strobe(),), (branch.points.reshape(-1, d), p), tile=_TILE, static=(_ROOM,))
     return EventSequence(*(np.asarray(leaf).reshape(k, n, *leaf.shape[1:]) for leaf in known))  # pyright: ignore[reportArgumentType]
 
 

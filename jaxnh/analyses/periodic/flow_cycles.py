@@ -71,7 +71,7 @@ def flow_problem(
         own = values.T[int(timed) :]
         p = {key: np.full(len(y), leaf[0]) for key, leaf in batch.p.items()} | dict(zip(names, own, strict=True))
         t, tile = t + values[:, 0] if timed else t, _POINTS if len(y) > _FEW else _FEW
-        known = lanes(rates, (batch.flow,), (y, t, p), tile=tile, static=(names,), spread=False)
+        known = lanes(rates, (batch.flow,), (y, t, p), tile=tile, static=(names,))
         return FieldValues(*map(np.asarray, known))
 
     return Problem(field, size, widths, not batch.flow.autonomous)

@@ -41,10 +41,6 @@ _LONGEST_ON_CARD = 1 << 28  # lane-periods in place of `_LONGEST`: seconds
 
 _ROOM = 128  # periods recorded in a call; what is not needed of it takes a hundredth of the time of 64
 
-_ALWAYS_SPREAD = 4
-"""Devices of which a call of one tile takes all: it has the program of longer calls, which need not be compiled for one
-device too (1.8 s of 10 of configs/table1.yaml). More devices spend more than that on what fills their tiles up."""
-
 _RUNNERS_A_CARD = 3
 _RUNNERS_A_CORE = 2  # of a chart over b and d, 256 values of d: 70 s in place of 77
 
@@ -75,7 +71,7 @@ class LaneExecutor:
         self._progress = progress or NullProgress()
         self._on_devices = DeviceTiles(self.devices, self.programs, self.accounts)
         self._tiles: Tiles = self._on_devices
-        self._spread, self._in_stage = True, False
+        self._in_stage = False
 
     @property
     def on_card(self) -> bool:
@@ -100,16 +96,12 @@ class LaneExecutor:
             each = [(self.devices[:1], Programs())] * (len(self.devices) * _RUNNERS_A_CORE)
         return [LaneExecutor(self._progress, devices, self.tile, programs) for devices, programs in each]
 
-    def in_tiles(self, tile: int, count: int) -> LaneExecutor:
-        """This executor with tiles of at most so many lanes, for so many in all; programs and accounts stay common.
-
-        Lanes of one tile go to one device: others would compute its padding.
-        """
+    def in_tiles(self, tile: int) -> LaneExecutor:
+        """This executor with tiles of at most so many lanes; programs and accounts stay common."""
         if self.on_card:
             return self
         smaller = copy.copy(self)
         smaller.tile = min(tile, self.tile)
-        smaller._spread = count > smaller.tile
         return smaller
 
     def through(self, wrap: Callable[[Tiles], Tiles]) -> LaneExecutor:
@@ -154,7 +146,6 @@ class LaneExecutor:
         periods: float = 0.0,
         tile: int | None = None,
         static: tuple[Any, ...] = (),
-        spread: bool = True,
     ) -> Any:
         """function(*shared, *lane, *static) for every lane.
 
@@ -166,13 +157,12 @@ class LaneExecutor:
             periods: periods that a lane costs, for progress and accounts.
             tile: lanes a tile where a program has few lanes but much to do in each.
             static: further hashable arguments, part of the program.
-            spread: whether all devices may take part: what is short and called often takes less time on one.
 
         Returns:
             The function's results as NumPy arrays with the lanes as first axis.
         """
         link = Link(function, shared, static, periods)
-        return self._results((link,), lanes, tile, spread)[0]
+        return self._results((link,), lanes, tile)[0]
 
     def chain(self, links: Sequence[Link], lanes: tuple[Any, ...], *, tile: int | None = None) -> list[Any]:
         """Functions one after the other, each of what the one before leaves on the device.
@@ -285,21 +275,17 @@ class LaneExecutor:
         tile: int | None = None,
     ) -> tuple[str, int]:
         """The compiled program that such a call runs, as text, and the lanes of a tile in it."""
-        call = self._call((Link(function, shared, static),), lanes, tile)._replace(spread=self._spread)
+        call = self._call((Link(function, shared, static),), lanes, tile)
         return self._on_devices.text(call), call.tile
 
-    def _call(self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None, spread: bool = True) -> Call:
+    def _call(self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None) -> Call:
         """A call in tiles of the size that all links allow."""
-        count = count_of(lanes)
-        size = self._tile([part for link in links for part in link.shared], count, tile)
-        spread &= self._spread and (count > size or len(self.devices) <= _ALWAYS_SPREAD)
-        return Call(links, jax.tree.map(np.asarray, lanes), size, spread)
+        size = self._tile([part for link in links for part in link.shared], count_of(lanes), tile)
+        return Call(links, jax.tree.map(np.asarray, lanes), size)
 
-    def _results(
-        self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None, spread: bool = True
-    ) -> list[Any]:
+    def _results(self, links: tuple[Link, ...], lanes: tuple[Any, ...], tile: int | None) -> list[Any]:
         """Results of each link on the host, of lanes of one value of each family or of many."""
-        call = self._call(links, lanes, tile, spread)
+        call = self._call(links, lanes, tile)
         families = [part for link in links for part in link.shared if isinstance(part, ParameterFamily)]
         if not families:
             return self._run(call)
@@ -323,18 +309,18 @@ class LaneExecutor:
     def _run(self, call: Call) -> list[Any]:
         """Results of a call without families."""
         results = []
-        for _, result in self._tiles.run(call):
-            done = call.periods * count_of(result)
+        for tile in self._tiles.run(call):
+            done = call.periods * count_of(tile.each)
             self.accounts.lane_periods += done
             self._progress.advance(done)
-            results.append(result)
+            results.append(tile.each)
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
     def _in_blocks(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
         """Lanes of several values of a family, block by block through one program."""
         blocks = group_into_blocks(group, _without_family(family, call.lanes), call.tile)
         links = _in_groups(call, evaluate_block, len(blocks.back) / len(blocks.groups))
-        result = self._run(Call(links, (*blocks.lanes, blocks.groups), blocks.a_tile, call.spread))
+        result = self._run(Call(links, (*blocks.lanes, blocks.groups), blocks.a_tile))
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[blocks.back], result)
 
     def _in_threads(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
