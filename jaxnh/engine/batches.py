@@ -37,14 +37,20 @@ def batches(
     pieces: Sequence[Piece],
     lanes: LaneExecutor,
     level: Level | None = None,
+    *,
+    in_turn: bool = False,
 ) -> list[list[Piece]]:
     """Pieces that are computed together: tiles in a row, enough for all devices.
 
     They are of the same values of the axes that lanes share, or where it can be of several that have the same period.
+
+    Args:
+        in_turn: whether batches are computed one after the other, each on all devices.
     """
     cutting, devices, on_card = job.cutting, len(lanes.devices), lanes.on_card
     numbers = sum(a.numbers(options) for a, options in requested if a.name in cutting.independent)
-    share = sum(lanes_of(piece, level) for piece in pieces) // ((_BATCHES_ON_CARD if on_card else _BATCHES) * devices)
+    runners = 1 if in_turn else (_BATCHES_ON_CARD if on_card else _BATCHES) * devices
+    share = sum(lanes_of(piece, level) for piece in pieces) // runners
     most = max(cutting.tile, devices * TILE, min(_LANES_ON_CARD if on_card else _LANES, share))
     held = max(cutting.tile, _BYTES // (8 * max(1, numbers)))
     most_values = 1

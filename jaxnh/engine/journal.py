@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -17,15 +18,19 @@ _WORTH_KEEPING = 0.002
 """Seconds of a tile: what takes less is computed again in the time in which it would be written and read."""
 
 
+_CALLS = 1 << 32  # of a part of the lanes, at most
+
+
 class _JournaledTiles:
     """Tiles whose results are kept in a journal, or taken from it where it has them.
 
     Of a call the tiles before the first that takes too little time are kept.
     """
 
-    def __init__(self, tiles: Tiles, journal: CallJournal) -> None:
+    def __init__(self, tiles: Tiles, journal: CallJournal, part: int) -> None:
+        """Those of a part of the lanes, or 0, which have numbers of their own."""
         self._tiles, self._journal = tiles, journal
-        self._fingerprints, self._calls = CallFingerprints(), 0
+        self._fingerprints, self._calls = CallFingerprints(), part * _CALLS
 
     def run(self, call: Call, first: int = 0) -> Iterator[TileResults]:
         number, self._calls = self._calls, self._calls + 1
@@ -74,7 +79,8 @@ def with_journal(lanes: LaneExecutor, journal: CallJournal) -> Iterator[LaneExec
     Where an exception ends it, all results are written to the journal.
     """
     try:
-        yield lanes.through(lambda tiles: _JournaledTiles(tiles, journal))
+        parts = itertools.count()
+        yield lanes.through(lambda tiles: _JournaledTiles(tiles, journal, next(parts)))
     except BaseException:
         journal.close(remove=False)
         raise

@@ -322,7 +322,7 @@ class Session:
             of_lanes[name] = assemble(parts.pop((name, False)), cutting)
             return of_lanes[name]
 
-        for batch in batches(experiment, axes, requested, job, cutting.pieces(), lanes, level):
+        for batch in batches(experiment, axes, requested, job, cutting.pieces(), lanes, level, in_turn=True):
             for done in compute(experiment, axes, requested, job, batch, lanes, gather, level):
                 for name, data in done.groups.items():
                     parts.setdefault((name, cutting.is_whole(done.piece)), []).append((done.piece, data))

@@ -15,6 +15,7 @@ import hashlib
 import io
 import json
 import os
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -62,6 +63,7 @@ class CallJournal:
         self._size = 0  # of these, in bytes
         self._handle: int | None = None
         self._closed = False
+        self._adding = threading.Lock()
         self._since = time.monotonic()
         self.seconds, self._sound = 0.0, 0
         for head, parts, end in _records(self._path):
@@ -81,11 +83,12 @@ class CallJournal:
         return parts
 
     def add(self, part: JournalEntry) -> None:
-        """Add a part; it is written with others after some seconds of work."""
-        self._new.append(part)
-        self._size += sum(leaf.nbytes for leaf in part.leaves)
-        if time.monotonic() - self._since > max(_OFTEN, self._size / _BYTES):
-            self.flush()
+        """Add a part; it is written with others after some seconds of work. Threads may add side by side."""
+        with self._adding:
+            self._new.append(part)
+            self._size += sum(leaf.nbytes for leaf in part.leaves)
+            if time.monotonic() - self._since > max(_OFTEN, self._size / _BYTES):
+                self.flush()
 
     def flush(self) -> None:
         """Write all parts to the disk; on a full disk the journal is dropped, since the tiles need the room."""

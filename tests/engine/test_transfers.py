@@ -35,14 +35,14 @@ class CountedTiles:
         for link in call.links:
             function, *static = link.static[0][:2] if blocks else (link.function, link.static)
             functions.append((function.__name__, *static))
-        for number, results in self.tiles.run(call, first):
-            if not number:
+        for tile in self.tiles.run(call, first):
+            if not tile.first:
                 of_lane = [
                     sum(leaf.nbytes / math.prod(leaf.shape[: 1 + blocks]) / 8 for leaf in jax.tree.leaves(result))
-                    for result in results
+                    for result in tile.each
                 ]
                 self.calls.append(list(zip(functions, of_lane, strict=True)))
-            yield number, results
+            yield tile
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,7 @@ class LaneExecutor:
         tile: lanes a tile where a call does not say.
         programs: compiled so far.
         accounts: what its calls have cost.
+        progress: of its stages.
     """
 
     def __init__(
@@ -68,10 +69,10 @@ class LaneExecutor:
         self.tile = tile
         self.programs = Programs() if programs is None else programs
         self.accounts = Accounts() if accounts is None else accounts
-        self._progress = progress or NullProgress()
+        self.progress = progress or NullProgress()
         self._on_devices = DeviceTiles(self.devices, self.programs, self.accounts)
         self._tiles: Tiles = self._on_devices
-        self._in_stage = False
+        self._in_stage, self._wraps = False, tuple[Callable[[Tiles], Tiles], ...]()
 
     @property
     def on_card(self) -> bool:
@@ -82,7 +83,7 @@ class LaneExecutor:
         """This executor on a core of the machine, where few lanes take less time; accounts are shared."""
         if not self.on_card:
             return self
-        return LaneExecutor(self._progress, jax.devices("cpu")[:1], accounts=self.accounts)
+        return LaneExecutor(self.progress, jax.devices("cpu")[:1], accounts=self.accounts)
 
     def split(self) -> list[LaneExecutor]:
         """Executors to be used side by side, each with accounts of its own: some for each device.
@@ -93,8 +94,21 @@ class LaneExecutor:
         if self.on_card:
             each = [([device], Programs()) for device in self.devices] * _RUNNERS_A_CARD
         else:
-            each = [(self.devices[:1], Programs())] * (len(self.devices) * _RUNNERS_A_CORE)
-        return [LaneExecutor(self._progress, devices, self.tile, programs) for devices, programs in each]
+            each = [(self.devices[:1], self.programs)] * (len(self.devices) * _RUNNERS_A_CORE)
+        return [LaneExecutor(self.progress, devices, self.tile, programs) for devices, programs in each]
+
+    def share(self, count: int, progress: Progress) -> list[LaneExecutor]:
+        """Executors for parts of the lanes side by side, inside a stage, each with its share of the cores.
+
+        Programs are common, and accounts are of each.
+        """
+        devices, parts = self.devices[: max(1, len(self.devices) // count)], list[LaneExecutor]()
+        for _ in range(count):
+            part = LaneExecutor(progress, devices, self.tile, self.programs).without_stages()
+            for wrap in self._wraps:
+                part = part.through(wrap)
+            parts.append(part)
+        return parts
 
     def in_tiles(self, tile: int) -> LaneExecutor:
         """This executor with tiles of at most so many lanes; programs and accounts stay common."""
@@ -107,7 +121,7 @@ class LaneExecutor:
     def through(self, wrap: Callable[[Tiles], Tiles]) -> LaneExecutor:
         """This executor with a wrapper around its tiles, as a journal of their results; accounts are shared."""
         wrapped = copy.copy(self)
-        wrapped._tiles = wrap(self._tiles)
+        wrapped._tiles, wrapped._wraps = wrap(self._tiles), (*self._wraps, wrap)
         return wrapped
 
     def without_stages(self) -> LaneExecutor:
@@ -127,15 +141,15 @@ class LaneExecutor:
         if self._in_stage:
             yield
             return
-        self._progress.start(label, total)
+        self.progress.start(label, total)
         try:
             yield
         finally:
-            self._progress.finish()
+            self.progress.finish()
 
     def note(self, text: str) -> None:
         """Report a note on the present stage."""
-        self._progress.note(text)
+        self.progress.note(text)
 
     def __call__(
         self,
@@ -312,7 +326,7 @@ class LaneExecutor:
         for tile in self._tiles.run(call):
             done = call.periods * count_of(tile.each)
             self.accounts.lane_periods += done
-            self._progress.advance(done)
+            self.progress.advance(done)
             results.append(tile.each)
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 

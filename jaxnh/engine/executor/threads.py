@@ -1,15 +1,75 @@
-"""Batches of a run in threads, one at a time on each device: while one is between two calls, the others compute."""
+"""Batches of a run, and parts of the lanes of one, in threads: while one is between two calls, the others compute."""
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, as_completed, wait
 from typing import TypeVar
 
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.progress import Progress
 
 Batch = TypeVar("Batch")
+Part = TypeVar("Part")
+Result = TypeVar("Result")
+
+
+class _HaltedError(Exception):
+    """A part ends because another has failed, or the run is stopped."""
+
+
+class _ProgressOfParts:
+    """Progress of parts side by side within one stage that is shown already."""
+
+    def __init__(self, shown: Progress) -> None:
+        self._shown, self._one_at_a_time, self.halted = shown, threading.Lock(), False
+
+    def start(self, label: str, total: float) -> None: ...
+
+    def advance(self, amount: float) -> None:
+        if self.halted:
+            raise _HaltedError
+        with self._one_at_a_time:
+            self._shown.advance(amount)
+
+    def finish(self) -> None: ...
+
+    def note(self, text: str) -> None:
+        with self._one_at_a_time:
+            self._shown.note(text)
+
+    def warn(self, text: str) -> None:
+        with self._one_at_a_time:
+            self._shown.warn(text)
+
+
+def run_parts(
+    lanes: LaneExecutor,
+    parts: Sequence[Part],
+    stage: tuple[str, float],
+    function: Callable[[Part, LaneExecutor], Result],
+) -> list[Result]:
+    """The function of each part of some lanes, side by side on the cores, in order.
+
+    Args:
+        lanes: executor whose cores they share; their accounts are added up in it.
+        stage: what all of them are shown as: a label and lane-periods.
+        function: of a part and the executor for it.
+    """
+    progress = _ProgressOfParts(lanes.progress)
+    executors = lanes.share(len(parts), progress)
+    with lanes.stage(*stage), ThreadPoolExecutor(len(parts), "part") as workers:
+        futures = [workers.submit(function, *each) for each in zip(parts, executors, strict=True)]
+        try:
+            ended = wait(futures, return_when=FIRST_EXCEPTION).done
+        finally:
+            progress.halted = len(futures) > sum(future.done() and not future.exception() for future in futures)
+        failed = [future for future in ended if future.exception()]
+        results = [future.result() for future in failed or futures]
+    lanes.accounts.add([executor.accounts for executor in executors])
+    return results
 
 
 def run_side_by_side(
