@@ -41,6 +41,9 @@ from jaxnh.storage.merge import DamagedPieceError, gather, merge
 from jaxnh.storage.tiles import TileRecord
 
 GO_ON = "run the same command again to go on where it stopped"
+_ENOUGH = (
+    4  # batches a core to be computed side by side, so that none waits long for the last; else all cores share each
+)
 
 
 def run_to_file(
@@ -236,7 +239,7 @@ class _Run:
             pieces = [piece for batch in cut for piece in batch]
 
             def all_of_them() -> None:
-                if len(lanes.devices) > 1 or lanes.on_card:
+                if lanes.on_card or (len(lanes.devices) > 1 and len(cut) >= _ENOUGH * len(lanes.devices)):
                     run_side_by_side(lanes, cut, lambda subset, runner: self._run_batches(job, subset, runner, cost))
                 else:
                     self._run_batches(job, cut, lanes, cost)

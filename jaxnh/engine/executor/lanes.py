@@ -104,7 +104,7 @@ class LaneExecutor:
         """
         devices, parts = self.devices[: max(1, len(self.devices) // count)], list[LaneExecutor]()
         for _ in range(count):
-            part = LaneExecutor(progress, devices, self.tile, self.programs).without_stages()
+            part = type(self)(progress, devices, self.tile, self.programs).without_stages()
             for wrap in self._wraps:
                 part = part.through(wrap)
             parts.append(part)
