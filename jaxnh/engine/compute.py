@@ -28,7 +28,7 @@ from jaxnh.engine.axes import (
 )
 from jaxnh.engine.batches import Requested, lanes_of, stackable
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.engine.executor.threads import run_parts
+from jaxnh.engine.executor.threads import run_slices
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.levels.levels import Level, fill_level, mark_computed
 from jaxnh.jobs.cutting import Piece
@@ -134,7 +134,7 @@ def compute(
         places = tuple(place[wanted] for place in places)
     order = None if line or not lanes.on_card else _order_on_card(axes, places)
     args = sweep, batch[0].names, places if order is None else tuple(place[order] for place in places), lanes
-    groups = _groups(*args, line=True) if line else _in_parts(*args)
+    groups = _groups(*args, line=True) if line else _on_cores(*args)
     if order is not None:
         groups = {name: join_lanes([data], np.argsort(order)) for name, data in groups.items()}
     after = seconds_spent(lanes, time.perf_counter() - began)
@@ -208,32 +208,32 @@ def _groups(
     return groups
 
 
-def _in_parts(
+def _on_cores(
     sweep: _DecidedSweep, names: Sequence[str], places: Sequence[np.ndarray], lanes: LaneExecutor
 ) -> dict[str, xr.Dataset]:
-    """Results of lanes that depend on no others: on several cores in as many parts, if each part fills a tile.
+    """Results of lanes that depend on no others: on several cores in as many slices, if each fills a tile.
 
     Of calls of few lanes, as Newton's, the tiles of one call are too few for all cores.
     """
-    compute_part = _by_class if sweep.job.plan.step_classes else partial(_groups, line=False)
+    compute_slice = _by_class if sweep.job.plan.step_classes else partial(_groups, line=False)
     tile = min(lanes.tile, lanes_a_tile(sweep.experiment.sweep.lanes, solver_plan(sweep.job.plan).kicks))
     count = 1 if lanes.on_card else min(len(lanes.devices), -(-len(places[0]) // tile))
     if count < 2:
-        return compute_part(sweep, names, places, lanes)
+        return compute_slice(sweep, names, places, lanes)
     asked = [(analysis, options) for analysis, options in sweep.requested if analysis.name in names]
     work = sum(analysis.periods(options, len(places[0])) for analysis, options in asked)
-    rows = _rows_of_parts(sweep.axes, len(places[0]), count)
-    parts = run_parts(
+    rows = _rows_of_slices(sweep.axes, len(places[0]), count)
+    slices = run_slices(
         lanes,
         [tuple(place[row] for place in places) for row in rows],
         (f"{', '.join(names)}: {len(places[0]):,} lanes", work),
-        lambda part, executor: compute_part(sweep, names, part, executor),
+        lambda own, executor: compute_slice(sweep, names, own, executor),
     )
-    return {name: join_lanes([part[name] for part in parts], np.argsort(np.concatenate(rows))) for name in names}
+    return {name: join_lanes([groups[name] for groups in slices], np.argsort(np.concatenate(rows))) for name in names}
 
 
-def _rows_of_parts(axes: Sequence[Axis], lanes: int, count: int) -> list[np.ndarray]:
-    """Numbers of the lanes of each part: every so many, as neighbours take about as long; neighbours, if they share."""
+def _rows_of_slices(axes: Sequence[Axis], lanes: int, count: int) -> list[np.ndarray]:
+    """Numbers of the lanes of each slice: neighbours, which take about as long, in turn; where lanes share, in a row."""
     every = np.arange(lanes)
     if any(axis.kind == "shared" for axis in axes):
         return np.array_split(every, count)

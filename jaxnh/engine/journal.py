@@ -18,7 +18,7 @@ _WORTH_KEEPING = 0.002
 """Seconds of a tile: what takes less is computed again in the time in which it would be written and read."""
 
 
-_CALLS = 1 << 32  # of a part of the lanes, at most
+_CALLS = 1 << 32  # of a slice of the lanes, at most
 
 
 class _JournaledTiles:
@@ -27,10 +27,10 @@ class _JournaledTiles:
     Of a call the tiles before the first that takes too little time are kept.
     """
 
-    def __init__(self, tiles: Tiles, journal: CallJournal, part: int) -> None:
-        """Those of a part of the lanes, or 0, which have numbers of their own."""
+    def __init__(self, tiles: Tiles, journal: CallJournal, number: int) -> None:
+        """Those of a slice of the lanes, or 0 of all, whose calls have numbers of their own."""
         self._tiles, self._journal = tiles, journal
-        self._fingerprints, self._calls = CallFingerprints(), part * _CALLS
+        self._fingerprints, self._calls = CallFingerprints(), number * _CALLS
 
     def run(self, call: Call, first: int = 0) -> Iterator[TileResults]:
         number, self._calls = self._calls, self._calls + 1
@@ -79,8 +79,8 @@ def with_journal(lanes: LaneExecutor, journal: CallJournal) -> Iterator[LaneExec
     Where an exception ends it, all results are written to the journal.
     """
     try:
-        parts = itertools.count()
-        yield lanes.through(lambda tiles: _JournaledTiles(tiles, journal, next(parts)))
+        slices = itertools.count()
+        yield lanes.through(lambda tiles: _JournaledTiles(tiles, journal, next(slices)))
     except BaseException:
         journal.close(remove=False)
         raise

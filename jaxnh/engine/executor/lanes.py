@@ -98,17 +98,17 @@ class LaneExecutor:
         return [LaneExecutor(self.progress, devices, self.tile, programs) for devices, programs in each]
 
     def share(self, count: int, progress: Progress) -> list[LaneExecutor]:
-        """Executors for parts of the lanes side by side, inside a stage, each with its share of the cores.
+        """Executors for slices of the lanes side by side, inside a stage, each with its share of the cores.
 
         Programs are common, and accounts are of each.
         """
-        devices, parts = self.devices[: max(1, len(self.devices) // count)], list[LaneExecutor]()
+        devices, slices = self.devices[: max(1, len(self.devices) // count)], list[LaneExecutor]()
         for _ in range(count):
-            part = type(self)(progress, devices, self.tile, self.programs).without_stages()
+            one = type(self)(progress, devices, self.tile, self.programs).without_stages()
             for wrap in self._wraps:
-                part = part.through(wrap)
-            parts.append(part)
-        return parts
+                one = one.through(wrap)
+            slices.append(one)
+        return slices
 
     def in_tiles(self, tile: int) -> LaneExecutor:
         """This executor with tiles of at most so many lanes; programs and accounts stay common."""

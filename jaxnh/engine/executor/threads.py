@@ -1,4 +1,4 @@
-"""Batches of a run, and parts of the lanes of one, in threads: while one is between two calls, the others compute."""
+"""Batches of a run, and slices of the lanes of one, in threads: while one is between two calls, the others compute."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.progress import Progress
 
 Batch = TypeVar("Batch")
-Part = TypeVar("Part")
+Slice = TypeVar("Slice")
 Result = TypeVar("Result")
 
 
 class _HaltedError(Exception):
-    """A part ends because another has failed, or the run is stopped."""
+    """A slice ends because another has failed, or the run is stopped."""
 
 
-class _ProgressOfParts:
-    """Progress of parts side by side within one stage that is shown already."""
+class _ProgressOfSlices:
+    """Progress of slices side by side within one stage that is shown already."""
 
     def __init__(self, shown: Progress) -> None:
         self._shown, self._one_at_a_time, self.halted = shown, threading.Lock(), False
@@ -45,23 +45,23 @@ class _ProgressOfParts:
             self._shown.warn(text)
 
 
-def run_parts(
+def run_slices(
     lanes: LaneExecutor,
-    parts: Sequence[Part],
+    slices: Sequence[Slice],
     stage: tuple[str, float],
-    function: Callable[[Part, LaneExecutor], Result],
+    function: Callable[[Slice, LaneExecutor], Result],
 ) -> list[Result]:
-    """The function of each part of some lanes, side by side on the cores, in order.
+    """The function of each slice of some lanes, side by side on the cores, in order.
 
     Args:
         lanes: executor whose cores they share; their accounts are added up in it.
         stage: what all of them are shown as: a label and lane-periods.
-        function: of a part and the executor for it.
+        function: of a slice and the executor for it.
     """
-    progress = _ProgressOfParts(lanes.progress)
-    executors = lanes.share(len(parts), progress)
-    with lanes.stage(*stage), ThreadPoolExecutor(len(parts), "part") as workers:
-        futures = [workers.submit(function, *each) for each in zip(parts, executors, strict=True)]
+    progress = _ProgressOfSlices(lanes.progress)
+    executors = lanes.share(len(slices), progress)
+    with lanes.stage(*stage), ThreadPoolExecutor(len(slices), "slice") as workers:
+        futures = [workers.submit(function, *each) for each in zip(slices, executors, strict=True)]
         try:
             ended = wait(futures, return_when=FIRST_EXCEPTION).done
         finally:

@@ -1,4 +1,4 @@
-"""Lanes of a sweep as parts side by side on the cores: what each lane has is what it has alone."""
+"""Lanes of a sweep in slices side by side on the cores: what each lane has is what it has alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 from jaxnh.engine.executor.lanes import LaneExecutor
-from jaxnh.engine.executor.threads import run_parts
+from jaxnh.engine.executor.threads import run_slices
 from jaxnh.engine.experiment import Experiment
 from jaxnh.engine.journal import with_journal
 from jaxnh.engine.progress import NullProgress
@@ -51,7 +51,7 @@ def test_results_are_those_of_one_core(sweep):
         xr.testing.assert_identical(*(tree[name].dataset for tree in trees))
 
 
-class Told(NullProgress):
+class Counter(NullProgress):
     """Progress that adds up what it is told."""
 
     def __init__(self, most=np.inf):
@@ -74,17 +74,17 @@ def halves(count):
     return [np.arange(0.0, count, 2), np.arange(1.0, count, 2)]
 
 
-def test_parts_are_one_stage():
+def test_slices_are_one_stage():
     """With the lane-periods of all of them; programs and accounts are those of the executor that is split."""
-    told = Told()
+    told = Counter()
     lanes = LaneExecutor(told, jax.devices("cpu")[:2], tile=4)
 
-    def squares(x, part):
-        assert len(part.devices) == 1
-        with part.stage("of a part", 0):
-            return part(_square, (), (x,), periods=3)
+    def squares(x, one):
+        assert len(one.devices) == 1
+        with one.stage("of a slice", 0):
+            return one(_square, (), (x,), periods=3)
 
-    even, odd = run_parts(lanes, halves(24), ("all", 72), squares)
+    even, odd = run_slices(lanes, halves(24), ("all", 72), squares)
     np.testing.assert_array_equal(even, np.arange(0.0, 24, 2) ** 2)
     np.testing.assert_array_equal(odd, np.arange(1.0, 24, 2) ** 2)
     assert told.stages == [("all", 72)]
@@ -92,47 +92,47 @@ def test_parts_are_one_stage():
     assert len(lanes.programs) == 1
 
 
-def test_what_fails_in_one_part_ends_the_others():
+def test_what_fails_in_one_slice_ends_the_others():
     """And is what is told of; the stage is over."""
-    told, ended = Told(), threading.Event()
+    told, ended = Counter(), threading.Event()
     lanes = LaneExecutor(told, jax.devices("cpu")[:2], tile=4)
 
-    def work(k, part):
+    def work(k, one):
         if k:
-            raise ZeroDivisionError("a lane of this part")
+            raise ZeroDivisionError("a lane of this slice")
         try:
             for _ in range(100_000):
-                part(_square, (), (np.ones(4),), periods=1)
+                one(_square, (), (np.ones(4),), periods=1)
         except Exception:
             ended.set()
             raise
 
-    with pytest.raises(ZeroDivisionError, match="a lane of this part"):
-        run_parts(lanes, (0, 1), ("all", 0), work)
+    with pytest.raises(ZeroDivisionError, match="a lane of this slice"):
+        run_slices(lanes, (0, 1), ("all", 0), work)
     assert ended.is_set()
 
 
-def test_parts_that_are_stopped_go_on_where_they_were(tmp_path):
-    """Calls of each part have numbers of their own in a journal, whichever thread was faster."""
+def test_slices_that_are_stopped_go_on_where_they_were(tmp_path):
+    """Calls of each slice have numbers of their own in a journal, whichever thread was faster."""
     pieces = job().cutting.pieces()
 
-    def sums(x, part):
-        return [part(_square, (), (x + k,), periods=1) for k in range(6)]
+    def sums(x, one):
+        return [one(_square, (), (x + k,), periods=1) for k in range(6)]
 
     def run(progress):
         lanes, journal = LaneExecutor(progress, jax.devices("cpu")[:2], tile=4), CallJournal(tmp_path, job(), pieces)
         with with_journal(lanes, journal) as keeping:
-            return run_parts(keeping, halves(16), ("all", 0), sums), journal
+            return run_slices(keeping, halves(16), ("all", 0), sums), journal
 
     with pytest.MonkeyPatch.context() as always:
         always.setattr("jaxnh.engine.journal._WORTH_KEEPING", 0.0)
         with pytest.raises(Stopped):
-            run(Told(50.0))
+            run(Counter(50.0))
         with mock.patch.object(CallJournal, "add", autospec=True) as add:
-            found, kept = run(told := Told())
+            found, kept = run(told := Counter())
     assert add.call_count <= 24 - 13  # tiles that are computed again, of all
-    for part, x in zip(found, halves(16), strict=True):
-        np.testing.assert_array_equal(part, [(x + k) ** 2 for k in range(6)])
+    for sums_found, x in zip(found, halves(16), strict=True):
+        np.testing.assert_array_equal(sums_found, [(x + k) ** 2 for k in range(6)])
     assert told.done == 96
     assert kept.seconds > 0.0
     kept.close(remove=True)
