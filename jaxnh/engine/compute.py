@@ -233,7 +233,7 @@ def _on_cores(
 
 
 def _rows_of_slices(axes: Sequence[Axis], lanes: int, count: int) -> list[np.ndarray]:
-    """Numbers of the lanes of each slice: neighbours, which take about as long, in turn; where lanes share, in a row."""
+    """Numbers of the lanes of each slice: of neighbours, which take as long, one each; in a row, if they share."""
     every = np.arange(lanes)
     if any(axis.kind == "shared" for axis in axes):
         return np.array_split(every, count)
