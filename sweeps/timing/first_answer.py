@@ -38,8 +38,8 @@ analyses:
 
 _WHY = {
     "CaTwoPlusQuasiperiodic": "a torus, both of whose exponents are zero",
-    "DoublePendulum": "its chaos ends when rounding decides: of five starts within 0.001 that of heyoka, at 1e-14, is over "
-    "in four before the end",
+    "DoublePendulum": "its chaos ends when rounding decides: of five starts within 0.001 that of heyoka, at 1e-14, is "
+    "over in four before the end",
     "HyperLu": "it escapes: of eight starts 0.001 apart, DOP853 leaves with five within 1,000 units of time",
     "IsothermalChemical": "too stiff for the equal steps of that integration",
     "StickSlipOscillator": "a direction is lost where it begins to stick; there jumps have no saltation",
