@@ -54,9 +54,8 @@ def explore(
     from jaxnh.cli.arguments import read_config
 
     content = None if config.suffix == ".h5" else read_config(config, overrides)
-    # From here on pages of Panel, and of a config JAX: seconds of imports.
+    # From here on JAX, where there is a config.
     from jaxnh.explorer.opening import PageContent, open_file, open_texts
-    from jaxnh.explorer.serve import make_server, run
     from jaxnh.explorer.worker import Watch, Worker
 
     worker = Worker()
@@ -68,9 +67,16 @@ def explore(
         with report_user_line(str(config)):
             yield from open_texts(opened, texts, watch, columns)
 
-    server, page = make_server(opened, worker.start(), address, port, reopen)
-    if opened.source.computes:  # while a browser is opened
-        worker.ask_ahead(opened.source.passes(opened.source.first))
+    worker.start()
+    try:
+        if opened.source.computes:  # while a second of modules of the page is imported, and a browser opened
+            worker.ask_ahead(opened.source.passes(opened.source.first))
+        from jaxnh.explorer.serve import make_server, run
+
+        server, page = make_server(opened, worker, address, port, reopen)
+    except BaseException:
+        worker.stop()
+        raise
     print(f"explore: {page} shows {config}; Control-C stops it", flush=True)
     run(server, worker)
 

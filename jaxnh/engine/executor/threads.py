@@ -10,14 +10,11 @@ from typing import TypeVar
 
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.progress import Progress
+from jaxnh.exceptions import Stopped
 
 Batch = TypeVar("Batch")
 Slice = TypeVar("Slice")
 Result = TypeVar("Result")
-
-
-class _HaltedError(Exception):
-    """A slice ends because another has failed, or the run is stopped."""
 
 
 class _ProgressOfSlices:
@@ -30,7 +27,7 @@ class _ProgressOfSlices:
 
     def advance(self, amount: float) -> None:
         if self.halted:
-            raise _HaltedError
+            raise Stopped("another slice has ended early")
         with self._one_at_a_time:
             self._shown.advance(amount)
 
@@ -64,12 +61,14 @@ def run_slices(
         futures = [workers.submit(function, *each) for each in zip(slices, executors, strict=True)]
         try:
             ended = wait(futures, return_when=FIRST_EXCEPTION).done
+            for future in ended:
+                future.result()
+        except BaseException:
+            progress.halted = True
+            raise
         finally:
-            progress.halted = len(futures) > sum(future.done() and not future.exception() for future in futures)
-        failed = [future for future in ended if future.exception()]
-        results = [future.result() for future in failed or futures]
-    lanes.accounts.add([executor.accounts for executor in executors])
-    return results
+            lanes.accounts.add([executor.accounts for executor in executors])
+    return [future.result() for future in futures]
 
 
 def run_side_by_side(
