@@ -141,7 +141,7 @@ def one_core(request: pytest.FixtureRequest) -> Iterator[None]:
 
     Bits are those of any number of cores. Slow tests have sessions as users have them, but with `always_one_core`.
     """
-    few = kept_programs.lanes_on_one_core if request.config.getoption("markexpr") == "not slow" else LaneExecutor
+    few = kept_programs.lanes_of_commands if request.config.getoption("markexpr") == "not slow" else LaneExecutor
     with mock.patch("jaxnh.engine.session.LaneExecutor", few):
         yield
 
@@ -150,8 +150,8 @@ def one_core(request: pytest.FixtureRequest) -> Iterator[None]:
 def always_one_core() -> Iterator[None]:
     """The same for modules whose slow sessions and commands have few lanes as well; tiles are as users have them."""
     with (
-        mock.patch.object(kept_programs, "lanes_of_commands", kept_programs.lanes_on_one_core),
-        mock.patch("jaxnh.engine.session.LaneExecutor", kept_programs.lanes_on_one_core),
+        mock.patch.object(kept_programs, "lanes_of_commands", kept_programs.lanes_of_commands),
+        mock.patch("jaxnh.engine.session.LaneExecutor", kept_programs.lanes_of_commands),
     ):
         yield
 

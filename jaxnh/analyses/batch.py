@@ -63,6 +63,8 @@ class LaneBatch:
         sizes: of the motion, that this error is relative to, by coordinate in the order of the components that errors
             are compared in; none where it is absolute.
         given_sizes: those among them that the config gives.
+        largest: modulus of the values of each parameter over the whole sweep, of those that are swept: what differences
+            in it are small against, so that results do not depend on which lanes are computed together.
         place: (lanes,) place of each lane along the first axis of the sweep; by default in order.
         axis: the first axis, where the lanes are those along it, at one point of all others.
         family: where lanes differ in parameters that a program shares, the system at each value of these.
@@ -86,6 +88,7 @@ class LaneBatch:
     target: float = 0.0
     sizes: Mapping[str, float] = field(default_factory=dict[str, float])
     given_sizes: Mapping[str, float] = field(default_factory=dict[str, float])
+    largest: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def count(self) -> int:

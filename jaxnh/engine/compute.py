@@ -76,8 +76,9 @@ def batch_of(
 ) -> LaneBatch:
     """Lanes with the solver and steps that were decided on."""
     more = {"place": place, "axis": axis, "family": at.family, "chosen": chosen or {}, "sizes": plan.sizes}
-    given = experiment.accuracy.sizes
-    return LaneBatch(at.system, at.start, at.p, *plan[:4], precision=experiment.precision, given_sizes=given, **more)
+    given = {"precision": experiment.precision, "given_sizes": experiment.accuracy.sizes}
+    largest = {each.name: float(np.abs(each.values).max()) for each in experiment.axes if each.kind != "start"}
+    return LaneBatch(at.system, at.start, at.p, *plan[:4], largest=largest, **given, **more)
 
 
 def solver_plan(plan: NumericalPlan) -> Plan:

@@ -6,10 +6,12 @@ import threading
 from unittest import mock
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
 
+import jaxnh
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.threads import run_slices
 from jaxnh.engine.experiment import Experiment
@@ -18,7 +20,7 @@ from jaxnh.engine.progress import NullProgress
 from jaxnh.engine.session import Session
 from jaxnh.exceptions import Stopped
 from jaxnh.storage.calls import CallJournal
-from tests.helpers.kept_programs import lanes_with_kept_programs
+from tests.helpers.kept_programs import QUICKLY_COMPILED, lanes_with_kept_programs
 from tests.helpers.storage_jobs import job
 
 SWEEPS = {
@@ -49,6 +51,48 @@ def test_results_are_those_of_one_core(sweep):
     assert trees[1]["lyapunov"].dataset["status"].size == 45
     for name in ("lyapunov", "period"):
         xr.testing.assert_identical(*(tree[name].dataset for tree in trees))
+
+
+def rotor(K=6.0, g=0.9):
+    """A damped rotor that is kicked once a period, seen half way between kicks."""
+
+    def image(y):
+        angle, rate = y
+        left = jnp.exp(-0.5 * g)
+        angle, rate = angle + rate * (1.0 - left) / g, rate * left - K * jnp.sin(angle + rate * (1.0 - left) / g)
+        return angle + rate * (1.0 - left) / g, rate * left
+
+    return {"map": image, "coordinates": ("angle", "rate"), "angles": ("angle",)}
+
+
+BOX = {"angle": (-1.0, 1.0), "rate": (-1.0, 1.0)}
+OF_LANES = {
+    "lyapunov": jaxnh.Lyapunov(transient=32, periods=64),
+    "period": jaxnh.Period(transient=64, max_period=4, sensitivities=True),
+    "diagram": jaxnh.Diagram(transient=16, strobes=4, start="random", n_starts=3),
+    "chaos01": jaxnh.Chaos01(transient=64, periods=100),
+    "rotation": jaxnh.Rotation(transient=64, periods=128),
+    "covariant": jaxnh.Covariant(transient=64, strobes=256),
+    "transport": jaxnh.Transport(transient=64, periods=256, path=("angle",)),
+    "basins": jaxnh.Basins(transient=32, max_periods=128, max_period=2, n_starts=8, box=BOX),
+    "transients": jaxnh.Transients(n_starts=16, box=BOX, max_periods=16, transient=1),
+    "tori": jaxnh.Tori(transient=64, periods=128),
+    "orbits": jaxnh.Orbits(max_period=2, transient=64, rounds=4),
+    "verdict": jaxnh.Verdict(confirmation_factor=0),
+}
+
+
+@pytest.mark.parametrize("name", OF_LANES)
+def test_every_analysis_of_lanes_is_that_of_one_core(name):
+    """Nine lanes are two tiles, of which each core has one: periodic lanes, chaotic ones, and equal pairs of orbits."""
+    groups = []
+    for cores in (1, 2):
+        session = jaxnh.Session(rotor, start={"angle": 0.3, "rate": 0.4})
+        session._lanes = lanes_with_kept_programs(devices=jax.devices("cpu")[:cores], programs=QUICKLY_COMPILED)
+        groups.append(session.groups({name: OF_LANES[name]}, K=np.linspace(3.0, 7.0, 9)))
+    assert groups[0].keys() == groups[1].keys()
+    for group in groups[0]:
+        xr.testing.assert_identical(groups[0][group], groups[1][group])
 
 
 class Counter(NullProgress):

@@ -73,18 +73,10 @@ def lanes_of_commands(
     return lanes_with_kept_programs(progress, devices, tile, kind=executor_of_tests)
 
 
-def lanes_on_one_core(
-    progress: Progress | None = None, devices: list[Any] | None = None, tile: int = TILE
-) -> LaneExecutor:
-    """The same on the first device: of few lanes all others compute nothing but what fills their tiles up."""
-    devices = jax.devices() if devices is None else devices
-    return lanes_with_kept_programs(progress, devices[:1], tile, kind=executor_of_tests)
-
-
 def session_of(experiment: Experiment) -> Session:
-    """A session that finds the programs of earlier ones in this process, on one core: the other would fill up tiles."""
+    """A session that finds the programs of earlier ones in this process."""
     found = Session(experiment)
-    found._lanes = lanes_with_kept_programs(found._progress, found._lanes.devices[:1], kind=executor_of_tests)
+    found._lanes = lanes_with_kept_programs(found._progress, kind=executor_of_tests)
     return found
 
 

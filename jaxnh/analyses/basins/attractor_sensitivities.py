@@ -151,4 +151,4 @@ def _coordinate_rates(
         return np.stack([np.asarray(every[name].data)[:, 0] for name in names], axis=1)
 
     rates, errors = difference(lambda s: at(s, part.u + s * moved), scale_of(part.batch, parameter))
-    return rates, errors + error_along(lambda u: at(0.0, u), part.u, wrong[None])
+    return rates, errors + error_along(lambda u: at(0.0, u), list(part.u[:, None]), wrong[None])

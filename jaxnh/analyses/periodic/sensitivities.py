@@ -368,9 +368,8 @@ def _times(
 
 
 def scale_of(batch: LaneBatch, name: str) -> float:
-    """Return the size of a parameter, one where it is zero."""
-    values = batch.p[name] if name in batch.p else batch.flow.parameters[name]
-    return float(np.abs(np.asarray(values, float)).max()) or 1.0
+    """Return the size of a parameter over the whole sweep, one where it is zero."""
+    return batch.largest.get(name, float(np.abs(np.asarray(batch.flow.parameters[name], float)))) or 1.0
 
 
 def _reason(batch: LaneBatch, maps: Callable[..., tuple[Maps, ...]], name: str) -> str:

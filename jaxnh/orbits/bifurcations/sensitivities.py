@@ -103,11 +103,11 @@ def orbit_motions(
     moved, *errors = np.concatenate(draws, axis=1)
     matrices, error = difference(lambda s: np.asarray(shifted(name, s, at + s * moved).monodromy), scale)
     errors = np.array(errors)
-    error += error_along(lambda u: np.asarray(shifted(name, 0.0, u).monodromy), at, errors)
+    error += error_along(lambda u: np.asarray(shifted(name, 0.0, u).monodromy), orbits, errors)
     times = ()
     if time:
         rate, time_error = difference(lambda s: np.asarray(time(name, s, at + s * moved)), scale)
-        times = rate, time_error + error_along(lambda u: np.asarray(time(name, 0.0, u)), at, errors)
+        times = rate, time_error + error_along(lambda u: np.asarray(time(name, 0.0, u)), orbits, errors)
     whole = (*column, moved, np.max(np.abs(errors), axis=0), matrices, error, *times)
     return [OrbitMotion(*leaves) for leaves in zip(*(np.split(leaf, cuts) for leaf in whole), strict=True)]
 
@@ -185,14 +185,28 @@ def _motions(
 
 def error_along(
     function: Callable[[Float[np.ndarray, "points d"]], np.ndarray],
-    at: Float[np.ndarray, "points d"],
+    orbits: Sequence[Float[np.ndarray, "n d"]],
     errors: Float[np.ndarray, "draws points d"],
 ) -> Float[np.ndarray, "points ..."]:
-    """Return the largest change of numbers at points by errors of these, of first order; one digit is enough."""
-    largest = np.max(np.abs(at), axis=0)
-    size = _NEAR * (np.fmax(largest, _LEAST * largest.max()) if largest.any() else np.ones_like(largest))
-    slopes = [(function(at + step) - function(at - step)) / (2.0 * np.max(step)) for step in np.diag(size)]
+    """Return the largest change of numbers at points by errors of these, of first order; one digit is enough.
+
+    Args:
+        function: of all points side by side.
+        orbits: their points, each in the sizes of its own.
+        errors: of the points.
+    """
+    at, sizes = np.concatenate(orbits), np.concatenate([np.tile(_size(orbit), (len(orbit), 1)) for orbit in orbits])
+    slopes = []
+    for step in sizes.T[:, :, None] * np.eye(at.shape[1])[:, None]:
+        change = function(at + step) - function(at - step)
+        slopes.append(change / (2.0 * np.max(step, axis=1)).reshape(-1, *(1,) * (change.ndim - 1)))
     return np.max(np.abs(np.einsum("jpk,kp...->jp...", errors, np.array(slopes))), axis=0)
+
+
+def _size(orbit: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " d"]:
+    """Return how far from an orbit points are near it, in each coordinate."""
+    largest = np.max(np.abs(orbit), axis=0)
+    return _NEAR * (np.fmax(largest, _LEAST * largest.max()) if largest.any() else np.ones_like(largest))
 
 
 def _null_vectors(
@@ -228,6 +242,11 @@ def _largest(left: np.ndarray, errors: np.ndarray, right: np.ndarray) -> float:
     return float(np.einsum("ni,nij,nj->", np.abs(left), errors, np.abs(right)))
 
 
+def _weighted(weights: Float[np.ndarray, " k"], rows: Float[np.ndarray, "k ..."]) -> Float[np.ndarray, ...]:
+    """Return the sum of weighted rows, each number by itself: those of BLAS may depend on how many there are."""
+    return weights[0] * rows[0] + weights[1] * rows[1] + weights[2] * rows[2]
+
+
 def difference(
     function: Callable[[float], np.ndarray], scale: float, wrap: Wrap | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +260,7 @@ def difference(
         sides = [(function(x * width), function(-x * width)) for x in _PLACES]
         pairs = [ahead - behind for ahead, behind in sides]
         rows = np.array([wrap(pair) for pair in pairs] if wrap else pairs)
-        sixth, fourth = (np.tensordot(weights, rows, 1) / width for weights in (_SIXTH, _FOURTH))
+        sixth, fourth = (_weighted(weights, rows) / width for weights in (_SIXTH, _FOURTH))
         slopes.append(sixth)
         errors.append(
             _ROUNDING * np.abs(sixth - fourth) + _ROUNDINGS * np.spacing(np.max(np.abs(sides), axis=(0, 1))) / width
