@@ -136,28 +136,25 @@ def quickly_uncalibrated(request: pytest.FixtureRequest) -> None:
 
 
 @pytest.fixture(scope="module")
-def one_core(request: pytest.FixtureRequest) -> Iterator[None]:
-    """For modules whose quick tests have sessions of few lanes: no lanes but theirs fill tiles up on a second core.
+def shared_programs(request: pytest.FixtureRequest) -> Iterator[None]:
+    """For modules whose sessions in quick tests find the programs of earlier ones in this process.
 
-    Bits are those of any number of cores. Slow tests have sessions as users have them, but with `always_one_core`.
+    Slow tests have sessions as users have them, but with `always_shared_programs`.
     """
-    few = kept_programs.lanes_of_commands if request.config.getoption("markexpr") == "not slow" else LaneExecutor
-    with mock.patch("jaxnh.engine.session.LaneExecutor", few):
+    quick = request.config.getoption("markexpr") == "not slow"
+    with mock.patch("jaxnh.engine.session.LaneExecutor", kept_programs.lanes_of_commands if quick else LaneExecutor):
         yield
 
 
 @pytest.fixture(scope="module")
-def always_one_core() -> Iterator[None]:
-    """The same for modules whose slow sessions and commands have few lanes as well; tiles are as users have them."""
-    with (
-        mock.patch.object(kept_programs, "lanes_of_commands", kept_programs.lanes_of_commands),
-        mock.patch("jaxnh.engine.session.LaneExecutor", kept_programs.lanes_of_commands),
-    ):
+def always_shared_programs() -> Iterator[None]:
+    """The same for modules whose slow sessions do so as well; tiles are as users have them."""
+    with mock.patch("jaxnh.engine.session.LaneExecutor", kept_programs.lanes_of_commands):
         yield
 
 
 @pytest.fixture(scope="module")
-def always_few_lanes(always_one_core: None) -> Iterator[None]:
+def always_few_lanes(always_shared_programs: None) -> Iterator[None]:
     """For modules whose slow sessions have some dozens of lanes at most: they are padded to 32, and not to 256.
 
     Last bits are those of the tile's width, so that nothing may hang on them.

@@ -20,7 +20,7 @@ from tests.helpers import taylor
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("one_core", "quick_compiling")
+pytestmark = pytest.mark.usefixtures("shared_programs", "quick_compiling")
 
 
 def pitchfork(folder, sweep="mu: {start: -0.5, stop: 0.7, count: 12}", options="{max_period: 2, transient: 64}"):

@@ -10,7 +10,7 @@ from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
 from jaxnh.plotting.descriptions import describe
 from tests.flows.lorenz import lorenz
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 
 
 def carriers(data):

@@ -13,7 +13,7 @@ import jaxnh
 from tests.flows.known_maps import henon
 from tests.flows.lorenz import lorenz
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 
 
 def session():

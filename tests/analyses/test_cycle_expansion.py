@@ -13,7 +13,7 @@ from jaxnh.analyses.orbits.cycle_expansion import WeightedCycles, cycle_averages
 from jaxnh.exceptions import InputError
 from tests.flows.lorenz import lorenz
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 ROUNDING = 1e-10
 
 

@@ -18,7 +18,7 @@ from tests.helpers import taylor
 from tests.helpers.cases import some_slow
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 
 FEIGENBAUM = 4.669201609102990  # Briggs, Math. Comp. 57 (1991) 435
 TABLES = {"table1": taylor.Parameters(), "table2": taylor.Parameters(d=0.1)}

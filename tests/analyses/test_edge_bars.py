@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 import jaxnh
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 UNIT = np.array([1.5, 3.0])
 """Halves of the box."""
 

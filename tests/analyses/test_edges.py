@@ -17,7 +17,7 @@ from jaxnh.systems.status import STATUS
 from tests.flows.known_maps import henon
 from tests.helpers import heyoka_newton
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 
 BOX = {"x": (-1.5, 1.5), "v": (-3.0, 3.0)}
 

@@ -17,7 +17,7 @@ from jaxnh.maps.extended_precision import extend_precision
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits.bifurcations.extended_doublings import ExtendedPoint, extended_doubling, from_float64, next_doubling
 
-pytestmark = pytest.mark.usefixtures("one_core")
+pytestmark = pytest.mark.usefixtures("shared_programs")
 FEIGENBAUM = 4.669201609102990671853  # Briggs, Math. Comp. 57 (1991) 435
 ALPHA = 2.502907875095892822284  # the same
 LEVELS = 10

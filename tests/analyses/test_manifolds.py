@@ -11,7 +11,7 @@ from jaxnh.analyses.orbits.search import newton
 from jaxnh.exceptions import InputError
 from tests.flows.known_maps import henon
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 GOLDEN = 0.5 * (1.0 + np.sqrt(5.0))
 FORNAESS_GAVOSTO = 1.392419807915
 """A tangency of the manifolds of Henon's fixed point at b = 0.3 (Fornæss and Gavosto, Ergod. Th. Dyn. Sys. 12, 1992)."""

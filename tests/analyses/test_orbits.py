@@ -25,7 +25,7 @@ from tests.flows.lorenz import lorenz
 from tests.helpers.batches import batch_of
 from tests.helpers.kept_programs import lanes_with_kept_programs
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 TWO_LETTERS = [2, 1, 2, 3, 6, 9, 18, 30, 56]
 """Primitive cyclic words of two letters, of 1, 2, … letters (Moreau's formula)."""
 

@@ -9,7 +9,7 @@ import jaxnh
 from jaxnh.analyses.exponents.estimates import SOURCES
 from jaxnh.analyses.options.base import BLOCKS
 
-pytestmark = pytest.mark.usefixtures("uncalibrated", "one_core")
+pytestmark = pytest.mark.usefixtures("uncalibrated", "shared_programs")
 OSCILLATOR = """
 import jax.numpy as jnp
 

@@ -33,7 +33,7 @@ from tests.helpers.paths import ROOT
 from tests.helpers.taylor import REAL, integrator
 from tests.helpers.taylor import Parameters as TaylorParameters
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "always_shared_programs")
 
 TURN = 2 * np.pi
 

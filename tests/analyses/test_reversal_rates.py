@@ -8,7 +8,7 @@ import pytest
 
 import jaxnh
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "always_shared_programs")
 
 
 def two_points(mu=1.0, b=0.16, k=0.16):

@@ -10,7 +10,7 @@ import jaxnh
 from jaxnh.exceptions import InputError
 from tests.flows.tori import GOLDEN, TURN, bent_circle, skew, tube
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "always_shared_programs")
 
 
 def kinds(data):

@@ -16,7 +16,7 @@ import jaxnh
 from tests.flows.tori import TURN, turned
 from tests.helpers.torus_branches import branch, ends, follow
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "always_shared_programs")
 
 TURNS, BETA, SHEAR = 0.2345, 0.3, 0.4
 EXACT = 1e-9  # of invariant curves, in sizes of order one: Newton's last step, squared, and rounding over a weak growth

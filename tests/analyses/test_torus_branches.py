@@ -13,7 +13,7 @@ from jaxnh.exceptions import InputError
 from tests.flows.tori import GOLDEN, TURN, bent_circle, skew, tube, turned
 from tests.helpers.torus_branches import STEPS, branch, ends, follow
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "always_shared_programs")
 
 
 def folded(mu=-0.1, rate=0.3, beta=0.3, shear=0.4):

@@ -16,7 +16,7 @@ from jaxnh.analyses.transients.saddle import saddle_dimension
 from jaxnh.exceptions import InputError
 from tests.flows.lorenz import lorenz
 
-pytestmark = pytest.mark.usefixtures("always_one_core")
+pytestmark = pytest.mark.usefixtures("always_shared_programs")
 LEAST = 0.95 - 3 * np.sqrt(0.95 * 0.05 / 100)
 """Of 100 intervals of 95 %, the share that covers at least, but for one case in a thousand."""
 

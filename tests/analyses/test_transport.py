@@ -12,7 +12,7 @@ import jaxnh
 from jaxnh.analyses.transport.statistics import diffusion, growth_exponent
 from jaxnh.exceptions import InputError
 
-pytestmark = pytest.mark.usefixtures("one_core")
+pytestmark = pytest.mark.usefixtures("shared_programs")
 TURN = 2 * math.pi
 
 

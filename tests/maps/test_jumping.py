@@ -24,7 +24,7 @@ from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.status import CHATTERING
 from tests.helpers.one_lane import image_after, state_after, states_after
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "always_shared_programs")
 
 TURN = 2 * np.pi
 

@@ -19,7 +19,7 @@ from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO
 from tests.helpers.cases import some_slow
 from tests.helpers.one_lane import state_after, states_after
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "always_one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "always_shared_programs")
 
 TURN = 2 * np.pi
 EPS = np.finfo(float).eps

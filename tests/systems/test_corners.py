@@ -15,7 +15,7 @@ from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.piecewise_circuits import CIRCUITS
 from tests.helpers.one_lane import state_after
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "shared_programs")
 
 Y = (0.0, 0.0, 0.0)
 

@@ -16,7 +16,7 @@ from tests.flows import switched_sleighs
 from tests.flows.switched_sleighs import flow_of
 from tests.helpers.paths import ROOT
 
-pytestmark = pytest.mark.usefixtures("one_core")
+pytestmark = pytest.mark.usefixtures("shared_programs")
 SAMPLES = 64
 
 

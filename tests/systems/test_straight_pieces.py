@@ -21,7 +21,7 @@ from jaxnh.systems.small_arrays import by_numbers
 from jaxnh.systems.straight_pieces import names_without_surface
 from tests.helpers.one_lane import state_after
 
-pytestmark = pytest.mark.usefixtures("quick_compiling", "one_core")
+pytestmark = pytest.mark.usefixtures("quick_compiling", "shared_programs")
 
 START = (0.3, 0.2)
 PLACES, HEIGHTS = np.array([0.0, 0.7, 0.7, 1.6, 2.0]), np.array([0.0, 1.0, -0.5, 0.4, 0.0])
