@@ -18,7 +18,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from functools import cache, partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -110,7 +110,13 @@ class DeviceTiles:
         """The tiles of a call; see `Tiles`."""
         numbers = range(first, count_of(call.lanes), call.tile * len(self._devices))
         threads, programs = min(self._threads, len(numbers)), dict[int, _PreparedCall]()
-        return _in_threads(partial(self._tile, call, programs, threads), numbers, threads)
+        tile = partial(self._tile, call, programs, threads)
+        return map(tile, numbers) if threads <= 1 else _in_threads(tile, numbers, threads, self._workers)
+
+    @cached_property
+    def _workers(self) -> ThreadPoolExecutor:
+        """Threads of its own: slices of lanes side by side have theirs."""
+        return ThreadPoolExecutor(self._threads, "tile")
 
     def _tile(self, call: Call, programs: dict[int, _PreparedCall], threads: int, first: int) -> TileResults:
         """The tile that begins with a lane, beside others in so many threads."""
@@ -192,15 +198,14 @@ class DeviceTiles:
         return leaves
 
 
-def _in_threads(function: Callable[[int], TileResults], numbers: Sequence[int], threads: int) -> Iterator[TileResults]:
+def _in_threads(
+    function: Callable[[int], TileResults], numbers: Sequence[int], threads: int, workers: ThreadPoolExecutor
+) -> Iterator[TileResults]:
     """Yield the function of each number in order, as so many threads compute it; they are a few numbers ahead."""
-    if threads <= 1:
-        yield from map(function, numbers)
-        return
     ahead = deque[Future[TileResults]]()
     try:
         for number in numbers:
-            ahead.append(_workers(threads).submit(function, number))
+            ahead.append(workers.submit(function, number))
             if len(ahead) == _AHEAD * threads:
                 yield ahead.popleft().result()
         while ahead:
@@ -209,12 +214,6 @@ def _in_threads(function: Callable[[int], TileResults], numbers: Sequence[int], 
         for future in ahead:
             future.cancel()
         wait(ahead)
-
-
-@cache
-def _workers(threads: int) -> ThreadPoolExecutor:
-    """So many threads, which all calls of the process share."""
-    return ThreadPoolExecutor(threads, "tile")
 
 
 def _sharding(devices: Sequence[Any], *axes: str) -> NamedSharding:
