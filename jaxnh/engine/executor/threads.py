@@ -18,7 +18,11 @@ Result = TypeVar("Result")
 
 
 class _ProgressOfSlices:
-    """Progress of slices side by side within one stage that is shown already."""
+    """Progress of slices side by side within one stage that is shown already.
+
+    Attributes:
+        halted: whether all slices are to end at their next call, as one has failed or the run is stopped.
+    """
 
     def __init__(self, shown: Progress) -> None:
         self._shown, self._one_at_a_time, self.halted = shown, threading.Lock(), False
