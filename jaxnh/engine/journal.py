@@ -17,7 +17,6 @@ from jaxnh.storage.calls import CallJournal, JournalEntry
 _WORTH_KEEPING = 0.002
 """Seconds of a tile: what takes less is computed again in the time in which it would be written and read."""
 
-
 _CALLS = 1 << 32  # of a slice of the lanes, at most
 
 

@@ -41,9 +41,7 @@ from jaxnh.storage.merge import DamagedPieceError, gather, merge
 from jaxnh.storage.tiles import TileRecord
 
 GO_ON = "run the same command again to go on where it stopped"
-_ENOUGH = (
-    4  # batches a core to be computed side by side, so that none waits long for the last; else all cores share each
-)
+_ENOUGH = 4  # batches a core that are computed side by side; of fewer, which one may wait for, all cores share each
 
 
 def run_to_file(
