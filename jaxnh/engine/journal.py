@@ -8,7 +8,9 @@ from contextlib import contextmanager
 from typing import Any
 
 import jax
+import numpy as np
 
+from jaxnh.analyses.batch import Link
 from jaxnh.engine.cache.fingerprints import CallFingerprints
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.engine.executor.tiles import Call, TileResults, Tiles, count_of
@@ -26,16 +28,16 @@ class _JournaledTiles:
     Of a call the tiles before the first that takes too little time are kept.
     """
 
-    def __init__(self, tiles: Tiles, journal: CallJournal, number: int) -> None:
+    def __init__(self, tiles: Tiles, journal: CallJournal, structures: _ResultStructures, number: int) -> None:
         """Those of a slice of the lanes, or 0 of all, whose calls have numbers of their own."""
-        self._tiles, self._journal = tiles, journal
+        self._tiles, self._journal, self._structures = tiles, journal, structures
         self._fingerprints, self._calls = CallFingerprints(), number * _CALLS
 
     def run(self, call: Call, first: int = 0) -> Iterator[TileResults]:
         number, self._calls = self._calls, self._calls + 1
         name = self._name_of(call)
         if entries := self._journal.take_entries(number, name):
-            structure = _result_structure(call)
+            structure = self._structures.of(call)
             for entry in entries:
                 yield TileResults(first, jax.tree.unflatten(structure, entry.leaves), 0.0)
                 first = entry.first + len(entry.leaves[0])
@@ -57,18 +59,29 @@ class _JournaledTiles:
         return digest
 
 
-def _result_structure(call: Call) -> Any:
-    """The structure of the results of a call for a lane."""
+class _ResultStructures:
+    """Structures of the results of calls: a function is traced once for all calls with arguments of the same shapes."""
 
-    def follow(carried: Any, *others: Any) -> list[Any]:
-        kept = []
+    def __init__(self) -> None:
+        self._known: dict[Any, Any] = {}
+
+    def of(self, call: Call) -> Any:
+        """The structure of the results of a call for a lane."""
+        lanes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), call.lanes)
+        (carried, *others), kept = lanes, []
         for link in call.links:
-            carried, read = link.keep(link.function(*link.shared, carried, *others, *link.static))
+            carried, read = link.keep(self._result(link, (carried, *others)))
             kept.append(read)
-        return kept
+        return jax.tree.structure(kept)
 
-    lanes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), call.lanes)
-    return jax.tree.structure(jax.eval_shape(follow, *lanes))
+    def _result(self, link: Link, lanes: tuple[Any, ...]) -> Any:
+        """The shapes of the result of a link."""
+        leaves, structure = jax.tree.flatten((link.shared, lanes))
+        shapes = tuple((np.shape(leaf), getattr(leaf, "dtype", None) or np.result_type(leaf)) for leaf in leaves)
+        key = link.function, link.static, shapes, structure
+        if key not in self._known:
+            self._known[key] = jax.eval_shape(lambda *lane: link.function(*link.shared, *lane, *link.static), *lanes)
+        return self._known[key]
 
 
 @contextmanager
@@ -78,8 +91,8 @@ def with_journal(lanes: LaneExecutor, journal: CallJournal) -> Iterator[LaneExec
     Where an exception ends it, all results are written to the journal.
     """
     try:
-        slices = itertools.count()
-        yield lanes.through(lambda tiles: _JournaledTiles(tiles, journal, next(slices)))
+        slices, structures = itertools.count(), _ResultStructures()
+        yield lanes.through(lambda tiles: _JournaledTiles(tiles, journal, structures, next(slices)))
     except BaseException:
         journal.close(remove=False)
         raise

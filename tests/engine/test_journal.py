@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import subprocess
@@ -218,6 +219,38 @@ def test_call_stopped_between_tiles(tmp_path):
     assert lanes.accounts.lane_periods == 160
     kept.close(remove=True)
     assert list(tmp_path.iterdir()) == []
+
+
+def _squared_shift(traces, x):
+    traces.made.append(1)
+    return {"square": x * x, "shifted": (x + 1.0,)}
+
+
+class _Traces:
+    """Traces of a function, counted as they are made."""
+
+    def __init__(self):
+        self.made = []
+
+
+def test_found_calls_are_traced_once(tmp_path):
+    """Hundreds of short calls of one function, as of Newton's: what all of them need is not made for each of them."""
+    pieces, traces, blocks = job().cutting.pieces(), _Traces(), [np.arange(8.0) + k for k in range(5)]
+    counted = functools.partial(_squared_shift, traces)
+    counted.__qualname__ = "_squared_shift"
+    with pytest.raises(Stopped), with_journal(LaneExecutor(tile=8), CallJournal(tmp_path, job(), pieces)) as keeping:
+        expected = [keeping(counted, (), (x,)) for x in blocks]
+        raise Stopped("enough")
+    traces.made.clear()
+    with (
+        mock.patch.object(CallJournal, "add", autospec=True) as add,
+        with_journal(LaneExecutor(tile=8), CallJournal(tmp_path, job(), pieces)) as keeping,
+    ):
+        found = [keeping(counted, (), (x,)) for x in blocks]
+    assert not add.called
+    assert len(traces.made) == 1
+    same_leaves(found, expected)
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
 
 
 def _halved(by, total, pair):
