@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -95,6 +97,37 @@ def test_lanes_that_have_come_to_rest_are_on_no_branch(tmp_path):
     assert int(branches["not_located"]) == 0
     assert np.all(branches["not_located_kind"].values == -1)
     assert tree["windows"].sizes["window"] == 1
+
+
+def _cubic(mu=1.5):
+    def image(state):
+        (x,) = state
+        return (x + 0.3 * x * (x * x - mu),)
+
+    return {"map": image, "coordinates": ("x",)}
+
+
+@pytest.mark.parametrize("n_starts", [4, 16])
+def test_random_starts_say_how_thoroughly_they_searched(n_starts):
+    """Of x + 0.3x(x² − μ): lanes settle on zero, and only random starts lead to ±√μ, by Newton's own basins."""
+    box, values = (-2.0, 2.0), (1.0, 2.0)
+    options = jaxnh.Branches(max_period=1, n_starts=n_starts, n_values=2, seed=3, box={"x": box})
+    session = jaxnh.Session(_cubic, start={"x": 0.1})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", jaxnh.JaxnhWarning)
+        branches = session.run(options, mu=np.linspace(*values, 5))
+    starts = dict(zip(np.sign(branches["x"].values[:, 0]).astype(int).tolist(), branches["starts"].values, strict=True))
+    assert set(starts) == {-1, 0, 1}
+    assert (
+        max(starts.values()) <= 2 * n_starts
+    )  # a start counts once, at whatever place of its motion an orbit was near
+    assert sum(starts.values()) >= 2 * n_starts  # each leads to one orbit at least
+    alone = [starts[side] for side in (-1, 1)].count(1)
+    expected = f"of the 2 that only random starts led to, {alone} by a single one of {2 * n_starts}: " if alone else ""
+    assert alone == (1 if n_starts == 4 else 0)
+    said = branches.attrs.get("warnings", "")
+    assert expected in said
+    assert bool(said) == bool(alone)
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ from jaxnh.analyses.continuation.families import orbit_family, step_control
 from jaxnh.analyses.continuation.family_tree import SeedOrbit, Tree, grow
 from jaxnh.analyses.continuation.grazing import may_graze, with_grazing
 from jaxnh.analyses.continuation.motion_units import motion_unit, search_unit, sizes_in_motion
+from jaxnh.analyses.continuation.search_evidence import search_evidence
 from jaxnh.analyses.continuation.seeds import attractor_waves, random_wave
 from jaxnh.analyses.continuation.tables import OWN_NAMES, FollowedBranches, bifurcations_table, datasets
 from jaxnh.analyses.options.orbits import BranchesOptions
@@ -155,23 +156,22 @@ def grow_branches(
     axis, (period, u, size) = batch.first_axis, settled
     unit = motion_unit([batch], lanes, period, size, options.box)
     ends = float(axis.values.min()), float(axis.values.max())
-    waves = [*attractor_waves(batch, lanes, u, period), list(seeds)]
+    waves, random = [*attractor_waves(batch, lanes, u, period), list(seeds)], list[SeedOrbit]()
     sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
     sample = batch.take(np.argsort(axis.values, kind="stable")[sampled])
     if options.n_starts:
         with lanes.stage(f"branches: {options.n_starts} random starts at {len(sampled)} values of {axis.name}", 0):
-            waves.append(
-                random_wave(
-                    sample,
-                    lanes,
-                    options.n_starts,
-                    options.seed,
-                    options.box,
-                    options.max_period,
-                    search_unit(sample, lanes, unit, options.box),
-                    options.transient,
-                )
+            random = random_wave(
+                sample,
+                lanes,
+                options.n_starts,
+                options.seed,
+                options.box,
+                options.max_period,
+                search_unit(sample, lanes, unit, options.box),
+                options.transient,
             )
+            waves.append(random)
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)
@@ -193,8 +193,11 @@ def grow_branches(
     if tree is None or (options.method == "auto" and _needs_collocation(batch.flow, tree)):
         followed = grow_cycles(batch, lanes, waves, unit, options.max_period, ends, steps, stage)
         tree, timed = tree_of_cycles(batch, followed), durations(followed)
-    orbits = FollowedBranches(tree, families[0], batch, timed)
-    return [orbits, *still]
+    evidence = None
+    if options.n_starts and timed is None:
+        others = [orbit for wave in waves if wave is not random for orbit in wave]
+        evidence = search_evidence(families[0], tree.branches, random, others, options.n_starts * len(sampled))
+    return [FollowedBranches(tree, families[0], batch, timed, evidence), *still]
 
 
 def table(data: xr.Dataset, published: Mapping[str, np.ndarray], source: str) -> Table:

@@ -37,10 +37,17 @@ _SAME_POINT = 1e-6  # of the width of the range, and lengths: two branches have 
 
 
 class SeedOrbit(NamedTuple):
-    """A periodic orbit at a value of the parameter: (n, d), nearly."""
+    """A periodic orbit at a value of the parameter.
+
+    Attributes:
+        points: of it, nearly, (n, d).
+        value: of the parameter.
+        starts: numbers of the random starts that led to it.
+    """
 
     points: Float[np.ndarray, "n d"]
     value: float
+    starts: tuple[int, ...] = ()
 
 
 class Bifurcation(NamedTuple):

@@ -66,9 +66,11 @@ def random_wave(
         if n == 1:
             good &= ~at_rest(many.take(lane), lanes, orbit.points[:, 0])
         for value in np.unique(values[lane[good]]).tolist():
-            candidates = orbit.points[good & (values[lane] == value)]
-            first = equal_cycles(np.zeros(len(candidates), int), candidates, size, wrap) == np.arange(len(candidates))
-            seeds += [SeedOrbit(orbit_points, value) for orbit_points in candidates[first]]
+            here = good & (values[lane] == value)
+            candidates, begun_at = orbit.points[here], lane[here]
+            label = equal_cycles(np.zeros(len(candidates), int), candidates, size, wrap)
+            for k in np.unique(label).tolist():
+                seeds.append(SeedOrbit(candidates[k], value, tuple(np.unique(begun_at[label == k]).tolist())))
     return seeds
 
 

@@ -14,6 +14,7 @@ from jaxnh.analyses.batch import Axis, LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.continuation.equilibrium_sensitivities import equilibrium_sensitivities
 from jaxnh.analyses.continuation.family_tree import Bifurcation, Tree
 from jaxnh.analyses.continuation.grazing import grazing_sensitivities
+from jaxnh.analyses.continuation.search_evidence import SearchEvidence
 from jaxnh.analyses.coordinates import coordinates_at
 from jaxnh.analyses.periodic.sensitivities import CriticalOrbit, Sensitivities, bifurcation_sensitivities
 from jaxnh.analyses.periodic.sensitivity_tables import (
@@ -33,7 +34,7 @@ from jaxnh.systems.readout import Output
 OWN_NAMES = (
     "branch", "point", "iterate", "multiplier", "part", "bifurcation", "period", "stable", "multipliers", "residual",
     "begins", "ends", "points", "kind", "not_located", "not_located_kind", "criticality",
-    "coefficient", "parameter", "duration", "step_change",
+    "coefficient", "parameter", "duration", "step_change", "starts",
 )  # fmt: skip
 """Names of variables and dimensions that no parameter or coordinate may have."""
 
@@ -51,12 +52,14 @@ class FollowedBranches(NamedTuple):
         family: the first of its maps.
         batch: whose section coordinates their points have.
         durations: of the cycles of each branch, where they are known.
+        evidence: of the random starts, where there were any and branches are those of a return map.
     """
 
     tree: Tree
     family: Family
     batch: LaneBatch
     durations: Sequence[np.ndarray] | None = None
+    evidence: SearchEvidence | None = None
 
 
 def datasets(
@@ -87,8 +90,12 @@ def datasets(
         "max_period": max_period,
         "along": axis.name,
         "method": "shooting" if grown[0].durations is None else "collocation",
-        **({"warnings": words} if (words := _warnings(axis, trees, searched)) else {}),
+        **({"warnings": words} if (words := _warnings(axis, grown, searched)) else {}),
     }
+    if evidence := grown[0].evidence:
+        starts = [-1 if family else evidence.starts[k] for family, k in order]
+        words = "number of random starts that led to an orbit of the branch"
+        branches["starts"] = number_variable("branch", np.array(starts, np.int32), words, ("equilibrium",), -1)
     lost = sum(len(tree.lost) for tree in trees)
     if (timed := grown[0].durations) is not None:
         of_branch = {rank[0, k]: duration for k, duration in enumerate(timed)}  # of equilibria there is none
@@ -141,8 +148,9 @@ def _period(part: FollowedBranches, points: int) -> int:
     return 0 if part.family.field else points
 
 
-def _warnings(axis: Axis, trees: Sequence[Tree], searched: str) -> str:
+def _warnings(axis: Axis, grown: Sequence[FollowedBranches], searched: str) -> str:
     """Lines for the user."""
+    trees = [part.tree for part in grown]
     if not trees[0].branches:
         return f"branches: there is no periodic orbit to follow along {axis.name}{searched and '; '}{searched}"
     lines = list[str]()
@@ -153,6 +161,12 @@ def _warnings(axis: Axis, trees: Sequence[Tree], searched: str) -> str:
         lines.append(
             f"branches: steps are too long on {count} of {len(wrong)}, where twice as many move orbits by up to "
             f"{np.nanmax(wrong):.2g} sizes of the motion: these are none of the flow (step_change); give a finer target"
+        )
+    if (evidence := grown[0].evidence) and evidence.alone:
+        lines.append(
+            f"branches: of the {evidence.met} that only random starts led to, {evidence.alone} by a single one of "
+            f"{evidence.total}: one start more finds another with a probability of about "
+            f"{evidence.alone / evidence.total:.2g}; give more n_starts"
         )
     unknown = [int(np.sum(np.any(np.isnan(branch.multipliers), axis=1))) for branch in trees[0].branches]
     if count := sum(unknown):
