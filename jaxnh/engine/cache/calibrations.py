@@ -33,7 +33,7 @@ class Decision:
 
 
 def name_of(experiment: Experiment, devices: Sequence[Any], tile: int | None, kind: str = "decision") -> str | None:
-    """The name of a decision, the same in every process; None where it is not to be kept.
+    """The name of a decision, the same in every process and on any number of cores; None where it is not to be kept.
 
     Args:
         kind: of decision.
@@ -42,7 +42,8 @@ def name_of(experiment: Experiment, devices: Sequence[Any], tile: int | None, ki
     said = executables.of_user_file(user) if user else ""
     if store.folder() is None or said is None:
         return None
-    words = [kind, executables.environment(), executables.of_devices(devices)]
+    of_a_program = devices[:1] if devices[0].platform == "cpu" else devices
+    words = [kind, executables.environment(), executables.of_devices(of_a_program)]
     return hashlib.sha256("\n".join([*words, str(tile), said, experiment.sha256]).encode()).hexdigest()
 
 
