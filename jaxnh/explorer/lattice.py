@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import xarray as xr
@@ -62,16 +62,19 @@ def _nearest_places(places: Places, size: int, step: int) -> tuple[Places, Place
     return mine, np.searchsorted(places, nearest[mine])
 
 
-def blocks(shape: tuple[int, int], step: int, lanes: int, *, first: bool) -> Iterator[tuple[Places, Places]]:
+def blocks(
+    shape: tuple[int, int], step: int, most: Callable[[], int], *, first: bool
+) -> Iterator[tuple[Places, Places]]:
     """Places at multiples of a step that are not multiples of twice the step, some at a time.
 
     Args:
-        lanes: about so many at a time, and a row at least.
+        most: says before each block how many lanes it may have; it has a row at least.
         first: whether none are known, so that all are wanted.
     """
     across, up = (np.arange(0, size, step) for size in shape)
     products = [(across, up)] if first else [(across[1::2], up[::2]), (across, up[1::2])]
     for columns, rows in products:
-        each = max(1, lanes // max(1, len(columns)))
-        for begin in range(0, len(rows) if len(columns) else 0, each):
-            yield columns, rows[begin : begin + each]
+        while len(columns) and len(rows):
+            count = -(-len(rows) // max(1, most() // len(columns)))  # of blocks, were all alike
+            here, rows = np.split(rows, [-(-len(rows) // count)])
+            yield columns, here

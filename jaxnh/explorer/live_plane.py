@@ -25,7 +25,9 @@ from jaxnh.plotting.panels import pixels_of
 _LANE_COLUMNS = 5  # columns of a diagram that one of a plane is as wide as
 _ASPECT = 0.75  # rows a column
 _LARGEST_STEP = 16
-_PASS_SECONDS = 3.0  # that a pass is meant to take: half a second of it, or more, is the same for any number of lanes
+_PASS_SECONDS = 3.0
+"""That a block of lanes is meant to take. Half a second of it, or more, is the same for any number of lanes, as a few
+chaotic ones take as long as a tile of them: twice as many lanes take one and a half times as long, at most."""
 _WORDS = {
     "lyapunov": "largest Lyapunov exponent",
     "period": "least period",
@@ -88,7 +90,7 @@ class LivePlane:
             columns=width,
             rows=int(_ASPECT * width),
         )
-        self._seconds: dict[tuple[int, str], float] = {}  # a lane in full, by session and quantity
+        self._most: dict[tuple[int, str], int] = {}  # lanes of the next block, by session and quantity
         self._basins: tuple[View, Mapping[str, xr.Dataset]] | None = None  # the last ones of which all lanes are known
 
     def passes(self, view: View) -> Iterator[Picture]:
@@ -97,7 +99,7 @@ class LivePlane:
         lattice, step = Lattice(view, self.sessions.dims), self._step(view, known)
         if view.variable != BASINS:  # which take as long for a short time
             session = known.few if self._rows else known.session
-            [places] = blocks((view.columns, view.rows), step, view.columns * view.rows, first=True)
+            [places] = blocks((view.columns, view.rows), step, lambda: view.columns * view.rows, first=True)
             groups = self._computed(view, session, shortened(analyses), places)
             words = f"coarse: {len(places[0]):,} × {len(places[1]):,} lanes, for a short time"
             yield self._picture(view, known, lattice, groups, places, step, words)
@@ -106,8 +108,7 @@ class LivePlane:
             for places in self._blocks(view, known, level, first=level == step):
                 began, lanes = time.perf_counter(), len(places[0]) * len(places[1])
                 groups = self._computed(view, known.session, analyses, places)
-                each, key = (time.perf_counter() - began) / lanes, (id(known.session), view.variable)
-                self._seconds[key] = min(self._seconds.get(key, np.inf), each)
+                self._adapt(view, known.session, lanes, time.perf_counter() - began)
                 done = lanes if view.variable == BASINS else done + lanes
                 words = f"{done:,} of {total:,} lanes; the others have what a neighbour has"
                 if whole := done == total:
@@ -136,10 +137,21 @@ class LivePlane:
         """Places of the lanes of a level, as many at a time as a pass has time for; of basins all at once."""
         shape = (view.columns, view.rows)
         if view.variable == BASINS:
-            return blocks(shape, step, view.columns * view.rows, first=True)
-        each = self._seconds.get((id(known.session), view.variable), np.inf)
-        together = TILE * known.session.devices  # in the time of one lane
-        return blocks(shape, step, together * max(1, int(_PASS_SECONDS / each) // together), first=first)
+            return blocks(shape, step, lambda: view.columns * view.rows, first=True)
+        return blocks(shape, step, lambda: self._lanes_of_a_block(view, known.session), first=first)
+
+    def _lanes_of_a_block(self, view: View, session: Session) -> int:
+        """Lanes of the next block, at first those that all cores compute in the time of one."""
+        return self._most.get((id(session), view.variable), TILE * session.devices)
+
+    def _adapt(self, view: View, session: Session, lanes: int, seconds: float) -> None:
+        """Have twice as many lanes in a block where that fits, half as many where it took too long."""
+        most = self._lanes_of_a_block(view, session)
+        if 1.5 * seconds < _PASS_SECONDS:
+            most = max(most, 2 * lanes)
+        elif seconds > 2.0 * _PASS_SECONDS:
+            most = max(TILE * session.devices, lanes // 2)
+        self._most[id(session), view.variable] = most
 
     def _computed(
         self, view: View, session: Session, analyses: Options, places: tuple[Places, Places]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -103,16 +104,32 @@ def test_a_plane_of_starts_is_one_of_its_coordinates():
 def test_every_lane_is_wanted_once():
     shape, seen = (21, 10), np.zeros((21, 10), int)
     for step in (8, 4, 2, 1):
-        for places in blocks(shape, step, 12, first=step == 8):
+        for places in blocks(shape, step, lambda: 12, first=step == 8):
             seen[np.ix_(*places)] += 1
     assert np.all(seen == 1)
+
+
+def test_blocks_grow_as_they_are_allowed_to_and_none_is_a_small_rest():
+    most = iter([20, 40, 200])
+    sizes = [len(columns) * len(rows) for columns, rows in blocks((10, 21), 1, lambda: next(most), first=True)]
+    assert sizes == [20, 40, 150]
+    assert [len(rows) for _, rows in blocks((10, 21), 1, lambda: 100, first=True)] == [7, 7, 7]
+
+
+def test_a_block_that_took_little_time_is_followed_by_a_larger_one():
+    live_plane = live(jaxnh.Experiment.from_dict(CONFIG), NullProgress(), COLUMNS)
+    session, view, sizes = mock.Mock(devices=2), live_plane.first, []
+    for lanes, seconds in ((500, 0.9), (1000, 1.2), (100, 0.5), (2000, 2.5), (2000, 7.0), (100, 7.0)):
+        live_plane._adapt(view, session, lanes, seconds)
+        sizes.append(live_plane._lanes_of_a_block(view, session))
+    assert sizes == [1000, 2000, 2000, 2000, 1000, 512]
 
 
 def test_a_lane_stands_for_its_neighbours_until_these_are_known():
     view = View("b", 0.0, 7.0, "period", (0.0, 5.0), "a", columns=8, rows=6)
     lattice, number = Lattice(view, {"b": "b", "a": "a"}), lambda b, a: 10 * b + a
     for step in (4, 1):
-        for places in blocks((8, 6), step, 1000, first=True):
+        for places in blocks((8, 6), step, lambda: 1000, first=True):
             at = {name: values[place] for (name, values), place in zip(view.grid().items(), places, strict=True)}
             lattice.put(dataset(number, **at), places, step)
         if step == 4:
