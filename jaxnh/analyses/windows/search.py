@@ -171,7 +171,8 @@ def _windows(
             ends = [(stretch[0], outside[0]), (stretch[-1], outside[1])]
             ends = [(_end(family, tree, number, *pair), *pair) for pair in ends]
             (begin, *_), (end, at, beyond) = sorted(ends, key=lambda end: end[0].kind)
-            mine = [k for k, orbit in settled.items() if is_on_branch(family, [_part(branch, stretch)], *orbit)]
+            part = [_part(branch, stretch)]
+            mine = [k for k, orbit in settled.items() if is_on_branch(family, part, orbit.points, orbit.value)]
             inside = PeriodScan(branch.value[[at]], np.array([branch.period]), branch.points[at, :1])
             to = float(branch.value[at if beyond is None else beyond])
             windows.append(Window(branch.period, np.array(mine, int), begin, end, inside, to))
