@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
@@ -40,6 +40,7 @@ from jaxnh.analyses.exponents.estimates import (
     Spectrum,
     area_growth,
     exponent_sum,
+    step_error,
     widen_plain_by_drift,
 )
 from jaxnh.analyses.exponents.from_orbits import early_orbits, find_orbits, no_orbits, orbit_exponents
@@ -47,7 +48,6 @@ from jaxnh.analyses.exponents.orthonormalisation import parts_needed, refine, re
 from jaxnh.analyses.exponents.period_parts import cut_period, period_parts
 from jaxnh.analyses.exponents.tables import dataset
 from jaxnh.analyses.exponents.tangent_growth import (
-    TangentState,
     advance,
     average,
     averages_in_turn,
@@ -61,7 +61,9 @@ from jaxnh.analyses.smooth_window import DEGREE
 from jaxnh.systems.state import is_finite
 
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
-_COMPARED = 16  # periods in which a smooth average is held against one with twice the steps
+_COMPARED = (4, 8, 12, 16)  # periods over which regular growth is held against that with twice the steps
+_AT_ONCE = (0.0,) * len(_COMPARED)  # of them as many times the first
+_BRIEF = 1e-4  # of what is lost in them, below which the series 1 − (1 − e^−x)/x = x/2 − … has one term
 _PRICED_PARTS = 4  # orthonormalisations a period in the program that is priced
 
 
@@ -216,14 +218,15 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     drift = widen_plain_by_drift(Average(mean[others], error[others]), averages, others, np.s_[: lead + k], steps)
     widened = error.copy()
     widened[others] = drift.error
-    if options.method == "averages":
-        return Spectrum(mean, widened, source)
     number, ran = np.arange(BLOCKS), averages.blocks
     late = (number < ran[:, None]) & (number >= (ran - np.maximum(ran // 4, 1))[:, None])
     last = np.mean(averages.rates[:, :, lead], axis=1, where=late)
     undecided = ~(mean[:, lead] - error[:, lead] > 0.0) | ~(last > 0.0)
     unknown = np.any(np.isnan(mean), axis=1)
     undecided &= ~unknown
+    if options.method == "averages":
+        found = Spectrum(mean, widened, source)
+        return found._replace(error=widened + _step_errors(batch, lanes, averages, found, undecided, parts))
     whole = np.flatnonzero(undecided & (averages.blocks == BLOCKS))
     windows = np.where(vanished[whole, None], 0.0, averages.smooth[whole, :, : lead + k])
     smooth = average_windows(windows, aligned, BLOCKS * block)
@@ -233,7 +236,7 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     source[regular] = SOURCES.index("smooth_average")
     smooth, error = widen_by_drift(smooth, windows, steps=steps), widened
     mean[regular] = smooth.mean[better]
-    error[regular] = smooth.error[better] + _step_error(batch, lanes, select(averages.growth, regular), regular, parts)
+    error[regular] = smooth.error[better]
     plain = whole[~better]
     error[plain] += unseen_bursts(averages.rates[plain, :, lead : lead + 1], BLOCKS * block)[:, None]
     mean[vanished], error[vanished] = -np.inf, 0.0
@@ -255,7 +258,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         complete = exponents.shape[1] == batch.flow.exponents  # else some eigenvalues are those of constraints
         for values, of_equilibrium in ((mean, exponents), (error, bound)):
             values[resting] = of_equilibrium[still, : lead + k] * batch.flow.period if complete else np.nan
-    return Spectrum(mean, error, source)
+    found = Spectrum(mean, error, source)
+    return found._replace(error=error + _step_errors(batch, lanes, averages, found, undecided, parts))
 
 
 def _has_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
@@ -263,19 +267,39 @@ def _has_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
     return options.method != "averages" and not batch.flow.autonomous and batch.precision == "float64"
 
 
-def _step_error(
-    batch: LaneBatch, lanes: LaneRunner, growth: TangentState, subset: Int[np.ndarray, " some"], parts: int
-) -> Float[np.ndarray, "some sums"]:
-    """Return twice the change by twice the steps in the growth over a few periods from the present states.
+def _step_errors(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    averages: Averages,
+    found: Spectrum,
+    regular: Bool[np.ndarray, " lanes"],
+    parts: int,
+) -> Float[np.ndarray, "lanes sums"]:
+    """Return twice the change by twice the steps in the growth of averages of regular motions.
 
-    Regular motions from one state stay together for that long. In plain averages this is far below the scatter, as
-    steps are chosen for tangents as well (`refinement_needed`).
+    Both motions begin at one state, and over a few periods T part by what is not yet lost of the way to another
+    attractor: of a motion that comes to it like e^−λt they have seen 1 − (1 − e^−λT)/(λT) of the change. Their phases
+    part too, which may hide it at one time and not at another: the largest change over 4, 8, 12 and 16 periods counts.
+    In plain averages whose scatter is larger than what steps can do, as they are chosen for tangents as well
+    (`refinement_needed`), it is not looked for.
     """
+    plain = (found.source == SOURCES.index("average")) & regular & (np.min(found.error, axis=1) < step_error(batch))
+    subset = np.flatnonzero(plain | (found.source == SOURCES.index("smooth_average")))
+    k, errors = found.mean.shape[1], np.zeros_like(found.mean)
     if not len(subset):
-        return np.zeros((0, len(growth.logs)))
-    p = select(dict(batch.p), subset)
-    coarse, fine = (average(lanes, period_parts(batch, parts, n), growth, p, _COMPARED)[1] for n in (1, 2))
-    return 2.0 * change(coarse, fine)[:, : len(growth.logs)]
+        return errors
+    growth, p = select((averages.growth, dict(batch.p)), subset)
+    grown = [
+        np.cumsum([rate[:, :k] for _, rate in averages_in_turn(lanes, strobes, growth, p, _COMPARED[0], _AT_ONCE)], 0)
+        for strobes in (period_parts(batch, parts, refinement) for refinement in (1, 2))
+    ]
+    number = np.arange(1.0, 1.0 + len(_COMPARED))[:, None, None]
+    mean, error = found.mean[subset], found.error[subset]
+    slowest = np.min(np.where(mean < -error, -mean, np.inf), axis=1, keepdims=True)
+    lost = slowest * np.array(_COMPARED, float)[:, None, None]
+    seen = np.where(lost < _BRIEF, 0.5 * lost, 1.0 + np.expm1(-lost) / lost)
+    errors[subset] = 2.0 * np.max(change(*grown) / number / seen, axis=0)
+    return errors
 
 
 def every_exponent(options: LyapunovOptions, batch: LaneBatch) -> bool:

@@ -27,7 +27,8 @@ _SLOWS = -1.0  # of the same, where it falls in each block: the motion comes to 
 _COMMENT = (
     "of an average: the largest of Student's 95 % errors of its block means and batches of them, and how far the sum "
     "of growth strays from a line; of a smooth_average: how far those over its halves are from each other and from "
-    "the whole, and twice what twice the steps change; of both, up to zero where a finite window leaves that open, as "
+    "the whole; of a regular motion, where that may matter: twice what twice the steps change as well, and what 16 "
+    "periods do not show of it; of both, up to zero where a finite window leaves that open, as "
     "much as a drift that slows down may still come to, infinite where one does not slow down, the change itself where "
     "the steps account for it, and at least the residual of the sum rule where that contradicts them; of a smallest "
     "exponent whose tangent was lost in others, which is the sum of all less these: their errors; of an orbit: "
