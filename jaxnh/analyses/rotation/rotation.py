@@ -100,7 +100,40 @@ def run(options: RotationOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     with np.errstate(invalid="ignore", over="ignore"):
         advances = advances_of(options, batch, states)
         average = birkhoff_average(advances.turns)
+    if batch.flow.continuous:
+        average = _with_errors_of_steps(options, batch, lanes, states, advances, average)
     return _dataset(options, batch, advances, average, alive).assign(status=as_variable(LANE, ended))
+
+
+def _with_errors_of_steps(
+    options: RotationOptions,
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    states: State,
+    advances: Advances,
+    average: BirkhoffAverage,
+) -> BirkhoffAverage:
+    """Return averages whose errors have twice what twice the steps change in them, of lanes that are not locked.
+
+    Steps that err by ε in each period move a torus that contracts by 1 − μ in one by ε/(1 − μ), and shear makes of that
+    another rotation, on which both halves of a run agree. Both motions begin at the first state on the torus, for half
+    of the run; the way to the other torus is at the beginning, which has no weight in the average.
+    """
+    kind = judge(options, advances, average).kind
+    open_ = np.flatnonzero(np.isin(kind, [KINDS.index("unlocked"), KINDS.index("undecided")]))
+    if not len(open_):
+        return average
+    count, few, error = options.periods // 2, batch.take(open_), average.error.copy()
+    coarse = jax.tree.map(lambda leaf: leaf[open_, : count + 1], states)
+    with lanes.stage(f"rotation: {len(open_):,} lanes by twice the steps", len(open_) * count):
+        begin = jax.tree.map(lambda leaf: leaf[:, 0], coarse)
+        fine = lanes.record(batch.strobe(2), count, (begin, dict(few.p)))
+    fine = jax.tree.map(lambda first, rest: np.concatenate([first[:, None], rest], axis=1), begin, fine)
+    with np.errstate(invalid="ignore", over="ignore"):
+        rotations = [birkhoff_average(advances_of(options, few, part).turns).value for part in (coarse, fine)]
+    moved = np.abs(rotations[1] - rotations[0])
+    error[open_] += 2.0 * np.minimum(moved, np.abs(1.0 - moved))  # about a centre whole turns are not known
+    return average._replace(error=error)
 
 
 # ---- angles
