@@ -85,6 +85,30 @@ def cusp(folder, sweep=BOTH, options="{max_period: 1, transient: 64, n_values: 2
     return normal_form(folder, "p + q * x - x**3", parameters, initial, sweep, f"curves: {options}")
 
 
+def bogdanov(p=-0.1, q=0.05, scale=0.1):
+    """Bogdanov's map, Y → Y + p + qY + x² + xY and x → x + Y of the Y before: its determinant is 1 + q + x, and where that
+    is one the trace is 2 + 2x."""
+
+    def image(s):
+        x, y = s[0], scale * s[1]
+        y = y + p + q * y + x * x + x * y
+        return x + y, y / scale
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0])
+def test_a_neutral_saddle_is_no_resonance(scale):
+    """Folds and Neimark–Sacker points both end in the resonance 1:1 at p = q = 0. The latter go on to neutral saddles, of
+    which one has a symmetric matrix, and was listed as another."""
+    session = jaxnh.Session(bogdanov, start={"x": -0.3, "y": 0.01}, parameters={"scale": scale})
+    options = jaxnh.Curves(max_period=1, transient=64, n_values=3)
+    data = session.run(options, p=np.linspace(-0.3, 0.1, 7), q=np.linspace(-0.21, 0.42, 3))
+    assert jaxnh.labels(data["codimension_two_kind"]).to_numpy().tolist() == ["resonance 1 1"] * 2
+    for name in ("codimension_two_p", "codimension_two_q"):
+        assert np.all(np.abs(data[name].to_numpy()) <= data[f"{name}_error"].to_numpy())
+
+
 @pytest.mark.slow
 def test_cusp_over_two_parameters(tmp_path):
     """4q³ = 27p² from one end of the plane to the other, through the cusp at (0, 0): one curve, and nothing else."""

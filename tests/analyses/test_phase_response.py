@@ -50,6 +50,17 @@ def system(mu=0.5, shear=0.7, bend=0.4):
     return {{"rhs": rhs, "coordinates": ("x", "y")}}
 """
 
+WEAK = f"""
+def system(mu=0.001):
+    def rhs(state, t):
+        x, y, z = state
+        pull = mu * (1.0 - x * x - y * y)
+        turn = {TURN} - {SHEAR} * pull
+        return pull * x - turn * y, pull * y + turn * x, x - z
+
+    return {{"rhs": rhs, "coordinates": ("x", "y", "z")}}
+"""
+
 VAN_DER_POL = """
 def system(mu=1.0):
     def rhs(state, t):
@@ -60,17 +71,17 @@ def system(mu=1.0):
 """
 
 
-def responses(folder, text, sweep, section="{coordinate: y, value: 0.0, direction: up}", more="", phases=16):
+def responses(folder, text, sweep, section="{coordinate: y, value: 0.0, direction: up}", more="", phases=16, x=0.9):
     """The group `period` with phase responses."""
     (folder / "flow.py").write_text(text)
     config = (
-        f"system: {{file: flow.py}}\ninitial: {{x: 0.9}}\nsweep: {{{sweep}}}\nsection: {section}\n"
+        f"system: {{file: flow.py}}\ninitial: {{x: {x}}}\nsweep: {{{sweep}}}\nsection: {section}\n"
         f"accuracy: {{target: 1.0e-7}}\nanalyses: {{period: {{max_period: 1, transient: 32, "
         f"phase_response: {phases}{more}}}}}\n"
     )
     (folder / "flow.yaml").write_text(config)
     data = session_of(jaxnh.load(folder / "flow.yaml")).tree()["period"].to_dataset()
-    contract.check("period", data, ("x", "y", "v", "mu", "rate", "shear", "bend", "t"))
+    contract.check("period", data, ("x", "y", "z", "v", "mu", "rate", "shear", "bend", "t"))
     return data
 
 
@@ -92,6 +103,16 @@ def test_stuart_landau_with_shear(tmp_path):
     holds(data, "y", radius * np.sin(phase))
     holds(data, "x_response", (-np.sin(phase) - SHEAR * np.cos(phase)) / radius)
     holds(data, "y_response", (np.cos(phase) - SHEAR * np.sin(phase)) / radius)
+
+
+def test_cycles_that_attract_weakly(tmp_path):
+    """r′ = μ(1 − r²)r, whose multiplier is within 6μ of one, and z′ = x − z, which moves nothing: its response is zero, to
+    what rounding of the others leaves in it."""
+    data = responses(tmp_path, WEAK, "mu: {values: [0.0005, 0.001, 0.002, 0.004, 0.008]}", x=1.0)
+    phase = data["phase"].values
+    holds(data, "x_response", SHEAR * np.cos(phase) - np.sin(phase))
+    holds(data, "y_response", SHEAR * np.sin(phase) + np.cos(phase))
+    holds(data, "z_response", 0.0)
 
 
 @pytest.mark.slow  # a cycle with shear is quick

@@ -142,11 +142,11 @@ def _of_lane(
         return None
     place = np.searchsorted(start.path.mesh[0], np.arange(count) / count)
     state, z, _ = _since_section(problem, start, lift, section, place)
-    more, finer, spread = _since_section(problem, fine.solution, lift, section, 2 * place)
+    more, finer, relative = _since_section(problem, fine.solution, lift, section, 2 * place)
     floor = _EPS * fine.solution.path.stages.shape[1]  # of each interval one rounding, that the orbit carries on
     rounding = (fine.rounding[0] + floor) * problem.size
-    largest = np.abs(finer).max(axis=0)
-    errors = np.abs(finer - z) + (spread + floor) * largest
+    largest = np.max(np.abs(finer) * problem.size) / problem.size  # of all together: rounding of one is in the others
+    errors = np.abs(finer - z) + (relative + floor) * largest
     longer = abs(fine.solution.duration[0] - start.duration[0])
     last = (fine.extra_rounding[0, 0] + floor) * start.duration[0]
     states = batch.flow.chart.wrap(more)
@@ -177,7 +177,7 @@ def _since_section(
     section: Section,
     place: Int[np.ndarray, " phases"],
 ) -> tuple[Float[np.ndarray, "phases d"], Float[np.ndarray, "phases d"], float]:
-    """States and responses at ends of intervals, as long after the section as these are after the first; the spread.
+    """States and responses at ends of intervals, as long after the section as these are after the first; their error.
 
     Newton leaves cycles shifted along themselves by what their polynomials are off, a small part of a step: states go
     on by their rates f, and responses by −Jᵀz.
@@ -187,7 +187,7 @@ def _since_section(
     at = problem.field(states, np.zeros(len(place)), values)
     rate, normal, z = np.asarray(at.rate), section_normal(section), known.z[0][place]
     late = -section_heights(section, states[:1])[0] / (rate[0] @ normal)
-    return states + late * rate, z - late * np.einsum("kij,ki->kj", at.jacobian, z), float(known.spread[0])
+    return states + late * rate, z - late * np.einsum("kij,ki->kj", at.jacobian, z), float(known.error[0])
 
 
 def _mesh_with_phases(places: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, " k"]:

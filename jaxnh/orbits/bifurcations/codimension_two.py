@@ -87,7 +87,9 @@ def special_points(plane: ParameterPlane, curve: Curve) -> list[Special]:
             if at := _locate(plane, curve, test, place, (float(values[place]), float(values[after])), after):
                 points.append(_special(plane, kind, place, at))
     if curve.kind == NEIMARK_SACKER and len(plane.size) == 2:
-        turns = _turning(curve.track)
+        # What turns nothing is symmetric: ±1 where e^(±iθ) are on the circle, and any such matrix of a neutral saddle.
+        with np.errstate(invalid="ignore"):
+            turns = np.where(np.abs(angle_cosine(curve.multipliers)) <= 1.0, _turning(curve.track), np.nan)
         for place in np.flatnonzero(turns[1:] * turns[:-1] < 0.0).tolist():
             if at := _locate(plane, curve, _turning, place, (float(turns[place]), float(turns[place + 1]))):
                 half = angle_cosine(multipliers(at.blocks))[0] < 0.0

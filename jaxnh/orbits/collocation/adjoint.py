@@ -16,6 +16,7 @@ from jaxnh.orbits import cyclic
 from jaxnh.orbits.collocation.cycles import closure
 from jaxnh.orbits.collocation.equations import BoundarySolution, Problem, linearise
 from jaxnh.orbits.collocation.homoclinic import SaddlePoint, projections
+from jaxnh.orbits.multipliers import multipliers
 
 _ROUNDS = 2  # of inverse iteration; singular values differ by many powers of ten
 
@@ -75,11 +76,12 @@ class PhaseResponse(NamedTuple):
     Attributes:
         z: derivative of the phase in each coordinate where intervals begin, rad over the coordinate's unit,
             (lanes, n, d).
-        spread: largest deviation of the phase's rate along the motion from its mean, of the mean, (lanes,).
+        error: largest deviation of the phase's rate along the motion from its mean, of the mean, and what rounding
+            adds across the flow, of the largest response, (lanes,).
     """
 
     z: Float[np.ndarray, "lanes n d"]
-    spread: Float[np.ndarray, " lanes"]
+    error: Float[np.ndarray, " lanes"]
 
 
 def phase_response(problem: Problem, cycles: BoundarySolution, lift: Float[np.ndarray, "lanes d"]) -> PhaseResponse:
@@ -87,7 +89,8 @@ def phase_response(problem: Problem, cycles: BoundarySolution, lift: Float[np.nd
     (1996) 979).
 
     It is the left eigenvector of the monodromy for the multiplier one, carried along the cycle by the derivatives over
-    intervals, of which no product is formed.
+    intervals, of which no product is formed. Where a multiplier is near one, by 1 − μ, rounding of each interval is
+    enlarged by 1/|1 − μ| along its own left eigenvector, which has no part in z · f.
 
     Args:
         problem: a field without a clock.
@@ -104,4 +107,6 @@ def phase_response(problem: Problem, cycles: BoundarySolution, lift: Float[np.nd
     mean = products.mean(axis=1)
     scale = 2 * np.pi / (cycles.duration * mean)
     spread = np.abs(products / mean[:, None] - 1.0).max(axis=1)
-    return PhaseResponse(scale[:, None, None] * psi / problem.size, spread)
+    others = np.sort(np.abs(multipliers(blocks) - 1.0), axis=1)[:, 1:]
+    rounding = np.finfo(float).eps * count / np.min(others, axis=1, initial=1.0)
+    return PhaseResponse(scale[:, None, None] * psi / problem.size, spread + rounding)
