@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import jax
-import numpy as np
 
 from jaxnh.analyses.batch import Link
 from jaxnh.engine.cache.fingerprints import CallFingerprints
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.engine.executor.programs import signature
 from jaxnh.engine.executor.tiles import Call, TileResults, Tiles, count_of
 from jaxnh.storage.calls import CallJournal, JournalEntry
 
@@ -76,9 +76,7 @@ class _ResultStructures:
 
     def _result(self, link: Link, lanes: tuple[Any, ...]) -> Any:
         """The shapes of the result of a link."""
-        leaves, structure = jax.tree.flatten((link.shared, lanes))
-        shapes = tuple((np.shape(leaf), getattr(leaf, "dtype", None) or np.result_type(leaf)) for leaf in leaves)
-        key = link.function, link.static, shapes, structure
+        key = signature(link.function, link.static, (link.shared, lanes))
         if key not in self._known:
             self._known[key] = jax.eval_shape(lambda *lane: link.function(*link.shared, *lane, *link.static), *lanes)
         return self._known[key]

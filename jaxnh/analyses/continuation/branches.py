@@ -156,22 +156,23 @@ def grow_branches(
     axis, (period, u, size) = batch.first_axis, settled
     unit = motion_unit([batch], lanes, period, size, options.box)
     ends = float(axis.values.min()), float(axis.values.max())
-    waves, random = [*attractor_waves(batch, lanes, u, period), list(seeds)], list[SeedOrbit]()
+    waves = [*attractor_waves(batch, lanes, u, period), list(seeds)]
     sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
     sample = batch.take(np.argsort(axis.values, kind="stable")[sampled])
     if options.n_starts:
         with lanes.stage(f"branches: {options.n_starts} random starts at {len(sampled)} values of {axis.name}", 0):
-            random = random_wave(
-                sample,
-                lanes,
-                options.n_starts,
-                options.seed,
-                options.box,
-                options.max_period,
-                search_unit(sample, lanes, unit, options.box),
-                options.transient,
+            waves.append(
+                random_wave(
+                    sample,
+                    lanes,
+                    options.n_starts,
+                    options.seed,
+                    options.box,
+                    options.max_period,
+                    search_unit(sample, lanes, unit, options.box),
+                    options.transient,
+                )
             )
-            waves.append(random)
 
     def stage(label: str) -> AbstractContextManager[object]:
         return lanes.stage(f"branches: {label}", 0)
@@ -195,8 +196,7 @@ def grow_branches(
         tree, timed = tree_of_cycles(batch, followed), durations(followed)
     evidence = None
     if options.n_starts and timed is None:
-        others = [orbit for wave in waves if wave is not random for orbit in wave]
-        evidence = search_evidence(families[0], tree.branches, random, others, options.n_starts * len(sampled))
+        evidence = search_evidence(families[0], tree.branches, waves, options.n_starts * len(sampled))
     return [FollowedBranches(tree, families[0], batch, timed, evidence), *still]
 
 

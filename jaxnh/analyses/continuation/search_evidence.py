@@ -34,19 +34,14 @@ class SearchEvidence(NamedTuple):
 
 
 def search_evidence(
-    family: Family,
-    branches: Sequence[Branch],
-    random: Sequence[SeedOrbit],
-    settled: Sequence[SeedOrbit],
-    total: int,
+    family: Family, branches: Sequence[Branch], waves: Sequence[Sequence[SeedOrbit]], total: int
 ) -> SearchEvidence:
     """Count the starts that led to each branch.
 
     Args:
         family: the map.
         branches: that are known.
-        random: orbits that random starts led to.
-        settled: orbits that do not come from random starts.
+        waves: orbits that they were begun with, those that random starts led to among them.
         total: number of all random starts.
     """
 
@@ -54,10 +49,12 @@ def search_evidence(
         same = [orbit for orbit in orbits if len(orbit.points) == branch.period]
         return [orbit for orbit in same if is_on_branch(family, [branch], orbit.points, orbit.value)]
 
+    every = [orbit for wave in waves for orbit in wave]
+    random, others = [orbit for orbit in every if orbit.starts], [orbit for orbit in every if not orbit.starts]
     starts = [len({start for orbit in on(branch, random) for start in orbit.starts}) for branch in branches]
     own = [
         count
         for branch, count in zip(branches, starts, strict=True)
-        if count and START not in branch.ends and not on(branch, settled)
+        if count and START not in branch.ends and not on(branch, others)
     ]
     return SearchEvidence(starts, total, len(own), own.count(1))

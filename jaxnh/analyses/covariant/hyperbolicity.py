@@ -65,9 +65,9 @@ def judge_search(
 ) -> Int8[np.ndarray, " lanes"]:
     """Return what is so of angles after a search beside the motions, numbers in `SPLITS`.
 
-    A change of sign is a tangency. An angle that the motions say is bounded is not known to be, where the search has
-    found less than half of the smallest one of the motions, or if it would come to zero going on as in its second half
-    for four times as long.
+    A change of sign is a tangency. An angle that the motions say is bounded is not known to be, where the search
+    comes to less than half of the smallest one of the motions, or if it would come to zero going on as in its second
+    half for four times as long.
 
     Args:
         smallest: angle of the motions.

@@ -225,8 +225,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     unknown = np.any(np.isnan(mean), axis=1)
     undecided &= ~unknown
     if options.method == "averages":
-        found = Spectrum(mean, widened, source)
-        return found._replace(error=widened + _step_errors(batch, lanes, averages, found, undecided, parts))
+        estimate = Spectrum(mean, widened, source)
+        return estimate._replace(error=widened + _step_errors(batch, lanes, averages, estimate, undecided, parts))
     whole = np.flatnonzero(undecided & (averages.blocks == BLOCKS))
     windows = np.where(vanished[whole, None], 0.0, averages.smooth[whole, :, : lead + k])
     smooth = average_windows(windows, aligned, BLOCKS * block)
@@ -258,8 +258,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         complete = exponents.shape[1] == batch.flow.exponents  # else some eigenvalues are those of constraints
         for values, of_equilibrium in ((mean, exponents), (error, bound)):
             values[resting] = of_equilibrium[still, : lead + k] * batch.flow.period if complete else np.nan
-    found = Spectrum(mean, error, source)
-    return found._replace(error=error + _step_errors(batch, lanes, averages, found, undecided, parts))
+    estimate = Spectrum(mean, error, source)
+    return estimate._replace(error=error + _step_errors(batch, lanes, averages, estimate, undecided, parts))
 
 
 def _has_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
@@ -271,7 +271,7 @@ def _step_errors(
     batch: LaneBatch,
     lanes: LaneRunner,
     averages: Averages,
-    found: Spectrum,
+    estimate: Spectrum,
     regular: Bool[np.ndarray, " lanes"],
     parts: int,
 ) -> Float[np.ndarray, "lanes sums"]:
@@ -283,9 +283,11 @@ def _step_errors(
     In plain averages whose scatter is larger than what steps can do, as they are chosen for tangents as well
     (`refinement_needed`), it is not looked for.
     """
-    plain = (found.source == SOURCES.index("average")) & regular & (np.min(found.error, axis=1) < step_error(batch))
-    subset = np.flatnonzero(plain | (found.source == SOURCES.index("smooth_average")))
-    k, errors = found.mean.shape[1], np.zeros_like(found.mean)
+    plain = (
+        (estimate.source == SOURCES.index("average")) & regular & (np.min(estimate.error, axis=1) < step_error(batch))
+    )
+    subset = np.flatnonzero(plain | (estimate.source == SOURCES.index("smooth_average")))
+    k, errors = estimate.mean.shape[1], np.zeros_like(estimate.mean)
     if not len(subset):
         return errors
     growth, p = select((averages.growth, dict(batch.p)), subset)
@@ -294,7 +296,7 @@ def _step_errors(
         for strobes in (period_parts(batch, parts, refinement) for refinement in (1, 2))
     ]
     number = np.arange(1.0, 1.0 + len(_COMPARED))[:, None, None]
-    mean, error = found.mean[subset], found.error[subset]
+    mean, error = estimate.mean[subset], estimate.error[subset]
     slowest = np.min(np.where(mean < -error, -mean, np.inf), axis=1, keepdims=True)
     lost = slowest * np.array(_COMPARED, float)[:, None, None]
     seen = np.where(lost < _BRIEF, 0.5 * lost, 1.0 + np.expm1(-lost) / lost)

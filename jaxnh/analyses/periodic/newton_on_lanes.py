@@ -79,7 +79,7 @@ def converged(
     derivative M − 1 by the share (x² + c/a)/(2x²), more than half of itself; near a zero this share is small
     (Kantorovich's theorem, in the form that no scaling changes). It is half or more at multiple roots too, which are
     bifurcations to rounding, and beside the doubling that an orbit was born in as long as Newton is further from the
-    orbit than that from the one of half the period: there it is found with that one divided out.
+    orbit than that from the one of half the period: there Newton has that one divided out.
     """
     exists = orbit.residual < CONVERGED
     with np.errstate(invalid="ignore"):

@@ -132,7 +132,8 @@ def _with_errors_of_steps(
     with np.errstate(invalid="ignore", over="ignore"):
         rotations = [birkhoff_average(advances_of(options, few, part).turns).value for part in (coarse, fine)]
     moved = np.abs(rotations[1] - rotations[0])
-    error[open_] += 2.0 * np.minimum(moved, np.abs(1.0 - moved))  # about a centre whole turns are not known
+    moved = np.where(np.isnan(moved), np.inf, np.minimum(moved, np.abs(1.0 - moved)))  # whole turns may not be known
+    error[open_] += 2.0 * moved
     return average._replace(error=error)
 
 

@@ -174,8 +174,8 @@ class Calibration:
         maps.tell("each lane takes steps of its own: those that all lanes share do not do, or take longer")
         try:
             self._measure(maps.with_own_steps(explicit=explicit))
-            found = self._maps, self._reference, self._samples, self._sizes
-            if kicks and not agree(*found, maps, kicks, self._target):
+            before_it = self._maps, self._reference, self._samples, self._sizes
+            if kicks and not agree(*before_it, maps, kicks, self._target):
                 return False
             before = math.inf
             while 0.0 < self._target < self.floor <= 0.5 * before:

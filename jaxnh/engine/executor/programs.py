@@ -60,9 +60,7 @@ class Programs:
         Returns:
             A function of the leaves of (shared, lanes).
         """
-        leaves, structure = jax.tree.flatten((shared, lanes))
-        shapes = tuple((np.shape(leaf), getattr(leaf, "dtype", None) or np.result_type(leaf)) for leaf in leaves)
-        key = (function, static, shapes, structure, tuple(devices))
+        key = *signature(function, static, (shared, lanes)), *devices
         if key not in self._programs:
             with _COMPILING:
                 began = time.perf_counter()
@@ -122,6 +120,13 @@ class Programs:
             if kernel := self._kernels[key]:
                 return partial(run_kernel, kernel, capability)
         return lambda shared, lanes, *asked: jax.vmap(one, in_axes=(None, 0))(shared, lanes)
+
+
+def signature(function: Callable[..., Any], static: tuple[Any, ...], arguments: Any) -> tuple[Any, ...]:
+    """What a trace of function(*arguments, *static) depends on: both, and the shapes and types of the arguments."""
+    leaves, structure = jax.tree.flatten(arguments)
+    shapes = tuple((np.shape(leaf), getattr(leaf, "dtype", None) or np.result_type(leaf)) for leaf in leaves)
+    return function, static, shapes, structure
 
 
 def takes_count(devices: Sequence[Any]) -> bool:
