@@ -80,7 +80,11 @@ def diffusion(paths: Float[np.ndarray, "coordinates lanes motions places"]) -> D
     part = (places - 1) // BLOCKS
     rates = np.diff(paths[..., : BLOCKS * part + 1 : part], axis=3).mean(axis=2) / part
     averages = average_blocks(np.moveaxis(rates, 0, 2))
-    drift = EstimateWithError(averages.mean.T, averages.error.T)
+    error = averages.error.T
+    if motions >= _FEWEST:  # stretches of a motion that remembers for long are alike, and motions are independent
+        whole = (paths[..., BLOCKS * part] - paths[..., 0]) / (BLOCKS * part)
+        error = np.maximum(error, student(motions) * whole.std(axis=2, ddof=1) / math.sqrt(motions))
+    drift = EstimateWithError(averages.mean.T, error)
     about = paths - drift.value[..., None, None] * np.arange(places)
     short = _SHORTEST * 2 ** np.arange(_octaves(motions, places))
     pairs = [_window_pairs(about, int(length)) for length in short]
@@ -91,8 +95,8 @@ def diffusion(paths: Float[np.ndarray, "coordinates lanes motions places"]) -> D
     of_rises = [student(pair.shape[2]) * np.std(pair[1] - pair[0], axis=1, ddof=1) for pair in pairs]
     rise_errors = np.array([x / math.sqrt(pair.shape[2]) for x, pair in zip(of_rises, pairs, strict=True)])
     rise_errors /= dimension * short[:, None]
-    exponent = _at_longest(powers, scatter, scatter <= _PRECISE, _REMAINDER)
-    rate = _at_longest(rises, rise_errors, rise_errors <= _PRECISE * rises, 1.0)
+    exponent = _at_longest(powers, scatter, scatter <= _PRECISE, may_not_fall=True)
+    rate = _at_longest(rises, rise_errors, rise_errors <= _PRECISE * rises)  # asked for where that exponent is one
     return Diffusion(drift, exponent, rate, means[:, 1].max(axis=0))
 
 
@@ -100,17 +104,35 @@ def _at_longest(
     values: Float[np.ndarray, "octaves lanes"],
     scatter: Float[np.ndarray, "octaves lanes"],
     precise: Bool[np.ndarray, "octaves lanes"],
-    remainder: float,
+    *,
+    may_not_fall: bool = False,
 ) -> EstimateWithError:
     """Return the estimates of the longest windows that are precise, with a multiple of the last change in their errors.
 
-    Where none are, it is those of the second length. Longer windows enlarge an error by what they contradict it.
+    Where none are, it is those of the second length. Changes that fall by a factor r in each octave have r/(1 − r) of
+    the last one to come, here by that of `_REMAINDER`. Longer windows enlarge an error by what they contradict it.
+
+    Args:
+        values: estimates in windows of all lengths.
+        scatter: their errors at 95 %.
+        precise: which windows may be chosen.
+        may_not_fall: whether changes may fall more slowly, beyond their scatter, whose own factor then counts: where
+            they do not fall there is no bound, as of motions in the midst of what they remember. Half of the change
+            before counts as well, in case the last one is small by chance, and all that longer windows are off.
     """
     octaves, lanes = values.shape
-    last = np.where(precise.any(axis=0), octaves - 1 - np.argmax(precise[::-1], axis=0), 1)
-    at = np.maximum(last, 1), np.arange(lanes)
-    error = scatter[at] + remainder * np.abs(values[at] - values[at[0] - 1, at[1]])
-    contradiction = np.abs(values - values[at]) - scatter - scatter[at]
+    longest = np.where(precise.any(axis=0), octaves - 1 - np.argmax(precise[::-1], axis=0), 1)
+    at = np.maximum(longest, 1), np.arange(lanes)
+    changes, apart = np.abs(np.diff(values, axis=0)), np.abs(values - values[at])
+    last, before = changes[at[0] - 1, at[1]], changes[np.maximum(at[0] - 2, 0), at[1]]
+    error, contradiction = scatter[at] + _REMAINDER * last, apart - scatter - scatter[at]
+    if may_not_fall:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(last < before, last / before, 1.0)
+            slow = (last > np.hypot(scatter[at], scatter[at[0] - 1, at[1]])) & (at[0] > 1)
+            remainder = np.where(slow, np.maximum(_REMAINDER, ratio / (1.0 - ratio)), _REMAINDER)
+        error = scatter[at] + remainder * np.maximum(last, 0.5 * before)
+        contradiction = np.where(apart > np.hypot(scatter, scatter[at]), apart, 0.0)
     longer = np.arange(octaves)[:, None] > at[0]
     return EstimateWithError(values[at], error + np.max(np.where(longer, contradiction, 0.0), axis=0, initial=0.0))
 
