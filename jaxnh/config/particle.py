@@ -207,7 +207,7 @@ class PrescribedSpeed(Particle, frozen=True):
 
     def _check_values(self, values: _Values) -> None:
         c, x2 = values["c"].min(), values["x2"]
-        x2 = x2[np.argmax(np.abs(x2))]
+        x2 = float(x2[np.argmax(np.abs(x2))])  # whose square may be infinite
         if x2 * x2 > c:
             message = f"the speed at t = 0 is {math.sqrt(c):g}, and |x2| cannot be above it; x2 is {x2:g}"
             raise rule(message, *values.keys("x2", "c"))

@@ -69,7 +69,8 @@ def test_numbers_of_a_chart_that_come_to_the_host(other):
         assert (name, nothing, numbers) == ("observe_states", 0, POINT * points + STATE)
     growth = [[numbers for _, numbers in call] for call in calls if call[0][0][0] == "advance"]
     whole = STATE + TANGENT + SUMS + 1
-    assert {len(numbers) for numbers in growth} == {1, BLOCKS - 1}
+    of_steps = 4  # times a few periods, by steps and by twice as many, of lanes that are regular
+    assert {len(numbers) for numbers in growth} == {1, of_steps, BLOCKS - 1}
     for numbers in growth:
         assert numbers == [whole - TANGENT - 1] * (len(numbers) - 1) + [whole]
     assert all(
