@@ -1,8 +1,9 @@
 """How thoroughly random starts have searched: how many of them led to each branch. Host code.
 
 If k of m branches were met by one of N starts alone, one start more leads to about k/N unknown branches in the mean, by
-I. J. Good's estimate (Biometrika 40, 237, 1953); a start may lead to several. Branches that begin at bifurcations of others, or that a
-lane of the sweep has settled on, would be known without any start, and tell nothing of what is missed.
+I. J. Good's estimate (Biometrika 40, 237, 1953); a start may lead to several. Branches that begin at
+bifurcations of others, or that a lane of the sweep has settled on, would be known without any start, and tell nothing
+of what is missed.
 """
 
 from __future__ import annotations

@@ -165,8 +165,8 @@ def _warnings(axis: Axis, grown: Sequence[FollowedBranches], searched: str) -> s
     if (evidence := grown[0].evidence) and evidence.alone:
         lines.append(
             f"branches: of the {evidence.met} that only random starts led to, {evidence.alone} by a single one of "
-            f"{evidence.total}: one start more leads to about {evidence.alone / evidence.total:.2g} that are not known; "
-            "give more n_starts"
+            f"{evidence.total}: one start more leads to about {evidence.alone / evidence.total:.2g} others; give more "
+            "n_starts"
         )
     unknown = [int(np.sum(np.any(np.isnan(branch.multipliers), axis=1))) for branch in trees[0].branches]
     if count := sum(unknown):
