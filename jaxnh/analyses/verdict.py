@@ -170,7 +170,7 @@ def largest_across(
     """
     known = (exponents == 0.0) & (errors == 0.0)
     known &= np.cumsum(known, axis=1) == 1
-    best = np.argmax(np.where(known, -np.inf, exponents), axis=1)[:, None]
+    best = np.argmin(known, axis=1)[:, None]  # the first other one: they are sorted
     none = known.all(axis=1)
     largest, error = (np.take_along_axis(values, best, axis=1)[:, 0] for values in (exponents, errors))
     return np.where(none, 0.0, largest), np.where(none, np.inf, error)

@@ -156,6 +156,14 @@ class PiecewiseSmooth(FirstOrder):
         """
         return self.branch(t, y, p, self.sides(t, y, p))
 
+    def divergence(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> Number:
+        """Divergence of the flow; −∞ where a motion is held, as those near it become the same in finite time."""
+        divergence = super().divergence(t, y, p)
+        if not self.holding:
+            return divergence
+        held = jnp.any(jnp.stack(self.sides(t, y, p)) == 0.0, axis=0)
+        return jnp.where(held, -jnp.inf, divergence)
+
     def sides(self, t: ArrayLike, y: PiecewisePoint, p: Parameters) -> tuple[Number, ...]:
         """The side of each wall and surface that a state is on: +1 above it and on it, −1 below, 0 held there."""
         heights = self.heights(t, y, p) if self.switches or self.holding else ()

@@ -106,7 +106,7 @@ def resting_motion(field: Field, jump: Field, height: Height, t: Number, y: Vect
     gain = _value_and_slope(speed, t, y, reaction, 0.0)[1]
     moved = jax.jvp(lambda y: field(y, t), (y,), (reaction,))[1]
     above, closing = _value_and_slope(height, t, y, moved, 0.0)
-    held = tuple(f - towards / gain * r for f, r in zip(rates, reaction, strict=True))
+    held = tuple(without_rounding(f, -towards / gain * r) for f, r in zip(rates, reaction, strict=True))
     constraints = (Constraint(above, moved, closing), Constraint(value, reaction, gain))
     return HeldMotion(held, towards > 0.0, -towards, -jnp.ones_like(value), towards, constraints)
 

@@ -54,6 +54,14 @@ def test_undecided_lanes_and_coexisting_attractors_between_two_runs():
     assert [1, 2] not in [c for c, _, _ in chains(line(1, 1, 3, 3, 3, 2, 2, 2))]
 
 
+def test_a_run_goes_on_beyond_undecided_lanes():
+    """Its period is seen at so many lanes as lie between its first and its last, and the next level is beyond those."""
+    periods = [*[1] * 42, *[2] * 7, 0, 0, 2, *[0] * 7, 2, 0, *[2] * 4, *[0] * 4, 4, 4, *[0] * 9]
+    (first, *_) = starts(line(*periods))
+    assert [(run.first, run.last, run.period) for run in first.runs] == [(0, 41, 1), (42, 64, 2), (69, 70, 4)]
+    assert [bracket.value.tolist() for bracket in first.brackets(2)] == [[64.0, 65.0], [64.0, 69.0]]
+
+
 def test_a_level_that_the_survey_steps_over():
     assert chains(line(3, 3, 3, 12, 12))[0] == ([3, 12], 2.0, 1.0)
     assert [3, 9] not in [c for c, _, _ in chains(line(3, 3, 3, 9, 9))]

@@ -72,7 +72,8 @@ class Start(NamedTuple):
     Attributes:
         line: in the direction of the cascade.
         runs: the run whose period may double, then those that follow in the cascade as far as it is seen, each with
-            twice the period or a higher power of two times it, where the survey has stepped over a level.
+            twice the period or a higher power of two times it, where the survey has stepped over a level; of each
+            from its first lane to its last, whatever few others lie between.
     """
 
     line: PeriodScan
@@ -110,32 +111,35 @@ def starts(line: PeriodScan) -> list[Start]:
     ends: list[Start] = []
     for ordered in (line, line.take(slice(None, None, -1))):
         runs = ordered.runs()
-        following = [_next_run(runs, i) for i in range(len(runs))]
         for i, run in enumerate(runs):
-            chain = [i]
-            while (j := following[chain[-1]]) is not None and runs[j].period > runs[chain[-1]].period:
-                chain.append(j)
-            goes_on = following[i] is not None and len(chain) == 1
-            if run.period and not goes_on and run.last + 1 < len(ordered.value):
-                ends.append(Start(ordered, tuple(runs[k] for k in chain)))
+            chain, j = [run], _next_run(runs, i, run.lanes)
+            if not run.period or run.last + 1 == len(ordered.value) or (j is not None and runs[j].period == run.period):
+                continue
+            while j is not None:
+                if runs[j].period == chain[-1].period:
+                    chain[-1] = chain[-1]._replace(last=runs[j].last)
+                else:
+                    chain.append(runs[j])
+                j = _next_run(runs, j, chain[-1].lanes)
+            ends.append(Start(ordered, tuple(chain)))
     return sorted(ends, key=lambda start: (-len(start.runs), -start.runs[0].lanes if len(start.runs) == 1 else 0))
 
 
-def _next_run(runs: list[Plateau], i: int) -> int | None:
+def _next_run(runs: list[Plateau], i: int, lanes: int) -> int | None:
     """The run beyond the i-th that has the same period, or a power of two times it; None where there is none.
 
-    Undecided lanes and short runs of other periods, of coexisting attractors or of windows, may lie between the two,
-    no more in all than the two have lanes themselves.
+    Undecided lanes and short runs of other periods, of coexisting attractors or of windows, may lie between the two, no
+    more in all than the two have lanes themselves: the i-th so many, with runs of its period before it that it goes on.
     """
     n, between = runs[i].period, 0
     for j in range(i + 1, len(runs) if n else 0):
         ratio, rest = divmod(runs[j].period, n)
         related = not rest and ratio > 0 and ratio & (ratio - 1) == 0
         a_hole = runs[j].lanes <= _HOLE and ratio != 1 and j + 1 < len(runs) and runs[j + 1].period == n
-        if related and not a_hole and between <= max(runs[i].lanes + runs[j].lanes, _HOLE):
+        if related and not a_hole and between <= max(lanes + runs[j].lanes, _HOLE):
             return j
         between += runs[j].lanes
-        if runs[j].period and runs[j].lanes > max(_HOLE, runs[i].lanes):
+        if runs[j].period and runs[j].lanes > max(_HOLE, lanes):
             break
     return None
 

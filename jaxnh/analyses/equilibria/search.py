@@ -1,4 +1,9 @@
-"""Equilibria of a flow without a clock: zeros of its field that lanes have come to, and whether they attract."""
+"""Equilibria of a flow without a clock: zeros of its field that lanes have come to, and whether they attract.
+
+A motion that rests on a wall, or sticks to a surface, has come there in finite time, and so has every one near it: the
+map over a unit of time has a multiplier zero there, which the linearised field does not know. Such equilibria are fixed
+points of that map.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +17,14 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.window_averages import WindowAverages
+from jaxnh.maps.iterate import derivative_and_volume, section_map
+from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 _STEPS = 20  # of Newton
+_HELD_STEPS = 4  # of Newton, from a point that motions have come to
 _NEAR = 0.01  # of the range of a lane in its look: how far it may still be from its equilibrium
 _ROUNDING = 1e-9  # of sizes, and of the linearisation's norm in its eigenvalues
 _NOTHING = 1e-13  # of the largest size: coordinates that are zero
@@ -39,6 +48,8 @@ def find_equilibria(
 ) -> Equilibria:
     """Find zeros of the field that lanes have come to: near their points, against their range in a window."""
     equilibria = equilibria_from_starts(batch, lanes, u, size)
+    if isinstance(batch.flow, PiecewiseSmooth) and batch.flow.holding:
+        equilibria = _with_held(batch, lanes, u, size, equilibria)
     apart = np.abs(batch.chart.wrap(equilibria.u - u))
     near = np.all(apart <= _NEAR * (window.high - window.low) + _rounding(batch, size), axis=1)
     exponent = np.where(near, equilibria.exponent, np.nan)
@@ -60,12 +71,9 @@ def equilibria_from_starts(
         at = at + step
         rates, change = field_and_slopes(batch.flow, lanes, at, p)
     finite = np.all(np.isfinite(change), axis=(1, 2)) & np.all(np.isfinite(rates), axis=1)  # else no step was taken
-    rounding = _rounding(batch, size)
-    exists = finite & np.all(np.abs(step) <= rounding, axis=1)
+    exists = finite & np.all(np.abs(step) <= _rounding(batch, size), axis=1)
     # Least squares take no step either where the field is across the range of a singular linearisation.
-    with np.errstate(invalid="ignore"):
-        rest = np.einsum("lij,lj->li", np.abs(change), rounding) + rounding / batch.flow.period
-        exists &= np.all(np.abs(rates) <= rest, axis=1)
+    exists &= _are_zero(batch, size, rates, change)
     real = np.sort(np.linalg.eigvals(np.where(exists[:, None, None], change, 0.0)).real, axis=1)[:, ::-1]
     hidden = batch.flow.chart.dimension - batch.flow.exponents  # zeros, of what constraints keep
     if hidden:
@@ -74,6 +82,53 @@ def equilibria_from_starts(
     with np.errstate(invalid="ignore"):
         least = _ROUNDING * np.linalg.norm(change, axis=(1, 2))
     return Equilibria(exists, exists & (real[:, 0] < -least), at, np.where(exists, real[:, 0], np.nan))
+
+
+def _with_held(
+    batch: LaneBatch,
+    lanes: LaneRunner,
+    u: Float[np.ndarray, "lanes d"],
+    size: Float[np.ndarray, "lanes d"],
+    equilibria: Equilibria,
+) -> Equilibria:
+    """Return equilibria with those of lanes that are held: fixed points of the map over a unit of time."""
+    shared, p, at = (batch.strobe(),), dict(batch.p), u
+    change = np.zeros_like(u)
+    for _ in range(_HELD_STEPS):
+        image, monodromy, volume = lanes(_map_and_derivative, shared, (at, p))
+        change = batch.chart.wrap(image - at)
+        finite = np.all(np.isfinite(monodromy), axis=(1, 2)) & np.all(np.isfinite(change), axis=1)
+        shift = np.where(finite[:, None, None], np.eye(u.shape[1]) - monodromy, np.eye(u.shape[1]))
+        at = at + np.einsum("lij,lj->li", np.linalg.pinv(shift), np.where(finite[:, None], change, 0.0))
+    held = finite & (volume == 0.0)
+    exists = held & np.all(np.abs(change) <= _rounding(batch, size), axis=1)
+    exists &= _are_zero(batch, size, *field_and_slopes(batch.flow, lanes, image, p))  # and no cycle as long as a unit
+    largest = np.abs(np.linalg.eigvals(np.where(held[:, None, None], monodromy, 0.0))).max(axis=1)
+    with np.errstate(divide="ignore"):
+        exponent = np.where(exists, np.log(largest) / batch.flow.period, np.nan)
+    of_map = Equilibria(exists, exists & (largest < 1.0 - _ROUNDING), image, exponent)
+    rows = np.flatnonzero(held)
+    for leaf, new in zip(equilibria, of_map, strict=True):
+        leaf[rows] = new[rows]
+    return equilibria
+
+
+def _are_zero(
+    batch: LaneBatch,
+    size: Float[np.ndarray, "lanes d"],
+    rates: Float[np.ndarray, "lanes d"],
+    slopes: Float[np.ndarray, "lanes d d"],
+) -> Bool[np.ndarray, " lanes"]:
+    """Return whether rates are no more than the rounding of their points, by their slopes, makes them."""
+    rounding = _rounding(batch, size)
+    with np.errstate(invalid="ignore"):
+        rest = np.einsum("lij,lj->li", np.abs(slopes), rounding) + rounding / batch.flow.period
+        return np.all(np.abs(rates) <= rest, axis=1)
+
+
+def _map_and_derivative(strobe: ReturnMap, u: Float[Array, " d"], p: Parameters) -> tuple[Array, Array, Array]:
+    """Return the image of a point, and what `derivative_and_volume` does."""
+    return section_map(strobe, 1, u, p), *derivative_and_volume(strobe, u, p)
 
 
 def _rounding(batch: LaneBatch, size: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, "lanes d"]:
