@@ -50,11 +50,13 @@ class Spectrum(NamedTuple):
     Attributes:
         mean, error: of the flow's direction without a clock, and of each tangent, (lanes, sums).
         source: number in `SOURCES`, (lanes,).
+        of_sum: what steps may do to the sum of all exponents of a regular motion, (lanes,).
     """
 
     mean: Float[np.ndarray, "lanes sums"]
     error: Float[np.ndarray, "lanes sums"]
     source: Int8[np.ndarray, " lanes"]
+    of_sum: Float[np.ndarray, " lanes"]
 
 
 def step_error(batch: LaneBatch) -> float:
@@ -103,7 +105,7 @@ def exponent_sum(
         windows = widen_by_drift(average_windows(parts, aligned, length), parts, steps=steps)
         windows = widen_unsettled(windows, averages.rates[smooth, :, k : k + 1], transient + length)
         total[smooth], error[smooth] = windows.mean[:, 0], windows.error[:, 0]
-    return Average(total, error + step_error(batch))
+    return Average(total, error + step_error(batch) + spectrum.of_sum)
 
 
 def lost_tangents(averages: Averages, spectrum: Spectrum) -> Bool[np.ndarray, "lanes sums"]:

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
@@ -225,8 +225,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
     unknown = np.any(np.isnan(mean), axis=1)
     undecided &= ~unknown
     if options.method == "averages":
-        estimate = Spectrum(mean, widened, source)
-        return estimate._replace(error=widened + _step_errors(batch, lanes, averages, estimate, undecided, parts))
+        estimate = Spectrum(mean, widened, source, np.zeros(batch.count))
+        return _with_step_errors(options, batch, lanes, averages, estimate, undecided, parts)
     whole = np.flatnonzero(undecided & (averages.blocks == BLOCKS))
     windows = np.where(vanished[whole, None], 0.0, averages.smooth[whole, :, : lead + k])
     smooth = average_windows(windows, aligned, BLOCKS * block)
@@ -258,8 +258,8 @@ def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, aver
         complete = exponents.shape[1] == batch.flow.exponents  # else some eigenvalues are those of constraints
         for values, of_equilibrium in ((mean, exponents), (error, bound)):
             values[resting] = of_equilibrium[still, : lead + k] * batch.flow.period if complete else np.nan
-    estimate = Spectrum(mean, error, source)
-    return estimate._replace(error=error + _step_errors(batch, lanes, averages, estimate, undecided, parts))
+    estimate = Spectrum(mean, error, source, np.zeros(batch.count))
+    return _with_step_errors(options, batch, lanes, averages, estimate, undecided, parts)
 
 
 def _has_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
@@ -267,41 +267,47 @@ def _has_orbits(options: LyapunovOptions, batch: LaneBatch) -> bool:
     return options.method != "averages" and not batch.flow.autonomous and batch.precision == "float64"
 
 
-def _step_errors(
+def _with_step_errors(
+    options: LyapunovOptions,
     batch: LaneBatch,
     lanes: LaneRunner,
     averages: Averages,
     estimate: Spectrum,
     regular: Bool[np.ndarray, " lanes"],
     parts: int,
-) -> Float[np.ndarray, "lanes sums"]:
-    """Return twice the change by twice the steps in the growth of averages of regular motions.
+) -> Spectrum:
+    """Return a spectrum with twice the change by twice the steps in the growth of averages of regular motions.
 
     Both motions begin at one state, and over a few periods T part by what is not yet lost of the way to another
-    attractor: of a motion that comes to it like e^−λt they have seen 1 − (1 − e^−λT)/(λT) of the change. Their phases
-    part too, which may hide it at one time and not at another: the largest change over 4, 8, 12 and 16 periods counts.
-    In plain averages whose scatter is larger than what steps can do, as they are chosen for tangents as well
-    (`refinement_needed`), it is not looked for.
+    attractor: of a motion that comes to it like e^−λt they have seen 1 − (1 − e^−λT)/(λT) of the change. A torus has an
+    exponent zero along itself; where another may be zero, the motion may come to the torus as slowly as the run is
+    long. Phases part too, which may hide the change at one time and not at another: the largest over 4, 8, 12 and 16
+    periods counts. In plain averages whose scatter is larger than what steps can do, as they are chosen for tangents as
+    well (`refinement_needed`), it is not looked for, unless the sum of all exponents, which scatters less, is.
     """
-    plain = (
-        (estimate.source == SOURCES.index("average")) & regular & (np.min(estimate.error, axis=1) < step_error(batch))
-    )
+    small = (np.min(estimate.error, axis=1) < step_error(batch)) | every_exponent(options, batch)
+    plain = (estimate.source == SOURCES.index("average")) & regular & small
     subset = np.flatnonzero(plain | (estimate.source == SOURCES.index("smooth_average")))
-    k, errors = estimate.mean.shape[1], np.zeros_like(estimate.mean)
+    k, errors = estimate.mean.shape[1], np.zeros((batch.count, estimate.mean.shape[1] + 1))
     if not len(subset):
-        return errors
+        return estimate
     growth, p = select((averages.growth, dict(batch.p)), subset)
     grown = [
-        np.cumsum([rate[:, :k] for _, rate in averages_in_turn(lanes, strobes, growth, p, _COMPARED[0], _AT_ONCE)], 0)
+        np.cumsum(
+            [rate[:, : k + 1] for _, rate in averages_in_turn(lanes, strobes, growth, p, _COMPARED[0], _AT_ONCE)], 0
+        )
         for strobes in (period_parts(batch, parts, refinement) for refinement in (1, 2))
     ]
     number = np.arange(1.0, 1.0 + len(_COMPARED))[:, None, None]
     mean, error = estimate.mean[subset], estimate.error[subset]
     slowest = np.min(np.where(mean < -error, -mean, np.inf), axis=1, keepdims=True)
+    maybe_zero = np.abs(mean) <= error
+    slow = np.sum(maybe_zero[:, int(batch.flow.autonomous) :], axis=1, keepdims=True) > 1
+    slowest = np.where(slow, 1.0 / (options.transient + options.periods), slowest)
     lost = slowest * np.array(_COMPARED, float)[:, None, None]
     seen = np.where(lost < _BRIEF, 0.5 * lost, 1.0 + np.expm1(-lost) / lost)
     errors[subset] = 2.0 * np.max(change(*grown) / number / seen, axis=0)
-    return errors
+    return estimate._replace(error=estimate.error + errors[:, :k], of_sum=errors[:, k])
 
 
 def every_exponent(options: LyapunovOptions, batch: LaneBatch) -> bool:

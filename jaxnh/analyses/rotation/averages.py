@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from jaxnh.analyses.smooth_window import window_weights
 
 _ORDER = 1e-3  # turns that points may be out of their cyclic order by, as points that approach a curve are
+_FASTEST, _RATES, _NODES = 30.0, 200, 256  # of the growth of a displacement: rates that are told apart
 
 
 class BirkhoffAverage(NamedTuple):
@@ -32,11 +33,38 @@ def birkhoff_average(values: Float[np.ndarray, "lanes points"]) -> BirkhoffAvera
     On quasiperiodic motion its error falls faster than any power of the number of points (Das, Saiki, Sander and
     Yorke, Nonlinearity 30 (2017) 4111); the halves, of which each errs by more than the whole, tell the error.
     """
-    half = values.shape[1] // 2
-    first, second = (_weighted(part) for part in (values[:, :half], values[:, -half:]))
+    first, second = half_averages(values)
     whole = _weighted(values)
     difference = np.abs(first - second)
     return BirkhoffAverage(whole, difference, np.maximum(difference, np.abs(whole - second)))
+
+
+def half_averages(values: Float[np.ndarray, "lanes points"]) -> Float[np.ndarray, "2 lanes"]:
+    """Return the averages with that weight over the first and the second half of values."""
+    half = values.shape[1] // 2
+    return np.stack([_weighted(part) for part in (values[:, :half], values[:, -half:])])
+
+
+def displacement(
+    first: Float[np.ndarray, " lanes"], second: Float[np.ndarray, " lanes"], slowest: float
+) -> Float[np.ndarray, " lanes"]:
+    """Return what a change comes to that grows like 1 − e^(−λt), from its averages over two successive windows.
+
+    Their ratio falls from 3 to 1 as λ grows.
+
+    Args:
+        slowest: the least λ that counts, in units of 1/length of a window; whatever grows more slowly is not yet there
+            at the end of the motion that it is the error of.
+    """
+    rate = np.geomspace(slowest, max(_FASTEST, 2.0 * slowest), _RATES)
+    at = (np.arange(_NODES) + 0.5) / _NODES
+    weights = window_weights(at)
+    left = np.exp(-np.outer(rate, at)) @ weights / weights.sum()
+    seen = 1.0 - left * np.exp(-rate)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(first > 0.0, second / first, np.inf)
+        share = np.interp(ratio, (seen / (1.0 - left))[::-1], seen[::-1])
+        return np.maximum(first, second) / np.where(second > first, share, 1.0)
 
 
 def _weighted(values: Float[np.ndarray, "lanes points"]) -> Float[np.ndarray, " lanes"]:

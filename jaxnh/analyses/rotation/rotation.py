@@ -39,7 +39,14 @@ from jaxnh.analyses.base import (
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.chaos import RotationOptions
 from jaxnh.analyses.price import Price, map_alone
-from jaxnh.analyses.rotation.averages import BirkhoffAverage, birkhoff_average, cyclic_advances, least_fraction
+from jaxnh.analyses.rotation.averages import (
+    BirkhoffAverage,
+    birkhoff_average,
+    cyclic_advances,
+    displacement,
+    half_averages,
+    least_fraction,
+)
 from jaxnh.analyses.rotation.locking import is_locked, passed_fraction
 from jaxnh.analyses.section_points import states_after
 from jaxnh.analyses.trajectories.poincare import recording_program
@@ -117,7 +124,7 @@ def _with_errors_of_steps(
 
     Steps that err by ε in each period move a torus that contracts by 1 − μ in one by ε/(1 − μ), and shear makes of that
     another rotation, on which both halves of a run agree. Both motions begin at the first state on the torus, for half
-    of the run; the way to the other torus is at the beginning, which has no weight in the average.
+    of the run. What this does not show of the way to the other torus, by how the change grows in it, counts as well.
     """
     kind = judge(options, advances, average).kind
     open_ = np.flatnonzero(np.isin(kind, [KINDS.index("unlocked"), KINDS.index("undecided")]))
@@ -130,10 +137,10 @@ def _with_errors_of_steps(
         fine = lanes.record(batch.strobe(2), count, (begin, dict(few.p)))
     fine = jax.tree.map(lambda first, rest: np.concatenate([first[:, None], rest], axis=1), begin, fine)
     with np.errstate(invalid="ignore", over="ignore"):
-        rotations = [birkhoff_average(advances_of(options, few, part).turns).value for part in (coarse, fine)]
-    moved = np.abs(rotations[1] - rotations[0])
+        turns = [advances_of(options, few, part).turns for part in (coarse, fine)]
+        moved = np.abs(np.subtract(*(half_averages(each) for each in turns)))
     moved = np.where(np.isnan(moved), np.inf, np.minimum(moved, np.abs(1.0 - moved)))  # whole turns may not be known
-    error[open_] += 2.0 * moved
+    error[open_] += 2.0 * displacement(*moved, count // 2 / (options.transient + options.periods))
     return average._replace(error=error)
 
 
