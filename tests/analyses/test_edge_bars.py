@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar
 
 import jaxnh
 
 pytestmark = pytest.mark.usefixtures("always_shared_programs")
+TURN = 2 * np.pi
 UNIT = np.array([1.5, 3.0])
 """Halves of the box."""
 
@@ -149,3 +151,39 @@ def test_bars_of_flows_cover():
     shocks = np.concatenate([covered_shocks(data) for data in parts])
     assert len(shocks) >= 20
     assert shocks.mean() >= 0.95
+
+
+def bent_bistable(lam=0.4, m=-0.05, a=0.27, b=-0.21, e=0.27):
+    """X′ = λ(X − m)(1 − X²)g and Y′ = −0.66 (1 + X/5)Yg with g of mean 1, where x = X + aY² + bY and y = Y about a point
+    that the clock moves: the boundary is X = m, and attractors are (±1, 0)."""
+
+    def rhs(s, t):
+        at, moving = e * jnp.cos(TURN * t), -TURN * e * jnp.sin(TURN * t)
+        y = s[1] - at
+        x, g = s[0] - a * y * y - b * y - at, 1.0 - 0.19 * jnp.cos(TURN * t)
+        dy = -0.66 * g * (1.0 + 0.2 * x) * y
+        return g * lam * (x - m) * (1.0 - x * x) + (2.0 * a * y + b) * dy + moving, dy + moving
+
+    return {"rhs": rhs, "coordinates": ("x", "y"), "period": 1.0}
+
+
+def least_shock(side, m=-0.05, a=0.27, b=-0.21):
+    """Least distance, in halves of a box of sides 4, of the attractor on a side from the boundary."""
+
+    def distance(y):
+        return np.hypot(m + a * y * y + b * y - side, y) / 2.0
+
+    return min(minimize_scalar(distance, bracket=(y - 0.1, y + 0.1), tol=1e-14).fun for y in (-1.0, 0.0, 1.0))
+
+
+@pytest.mark.slow
+def test_steps_that_move_the_attractor_are_in_the_bars_of_shocks():
+    """Steps move what attracts weakly as well as the boundary: bars of the boundary alone missed 15 of 16."""
+    session = jaxnh.Session(bent_bistable, start={"x": 0.5, "y": 0.1}, target=1e-4)
+    box = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}
+    data = session.run(jaxnh.Edges(box=box, n_starts=8, pairs=1), lam=[0.05, 0.2, 0.4])
+    known = np.isfinite(data["shock"].to_numpy())
+    shock, error, x = (data[name].to_numpy()[known] for name in ("shock", "shock_error", "x_attractor"))
+    assert len(shock) == 6
+    assert np.all(np.abs(shock - np.where(x > 0.27, least_shock(1.0), least_shock(-1.0))) <= error)
+    assert np.max(error) < 1e-4

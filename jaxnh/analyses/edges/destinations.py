@@ -144,10 +144,14 @@ def destinations(
 
 def turns_of(attractors: Attractors, place: int) -> int:
     """Return how many of the points of an attractor are all of it where it is an orbit or an equilibrium."""
-    kind = int(attractors.kind[place])
-    if kind in (QUASIPERIODIC, CHAOTIC, LIMIT_CYCLE):
+    if not returns(attractors, place):
         return attractors.points.shape[1]
-    return int(attractors.period[place]) if kind == PERIODIC else 1
+    return int(attractors.period[place]) if attractors.kind[place] == PERIODIC else 1
+
+
+def returns(attractors: Attractors, place: int) -> bool:
+    """Return whether an attractor is an orbit of the map or an equilibrium, and so few points."""
+    return int(attractors.kind[place]) not in (QUASIPERIODIC, CHAOTIC, LIMIT_CYCLE)
 
 
 def _by_means(attractors: Attractors, places: Int[np.ndarray, " some"]) -> Int[np.ndarray, " some"]:

@@ -15,7 +15,15 @@ from jaxtyping import Float
 from jaxnh.analyses.base import Analysis, OptionError, Setting, check_names
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.edges.bisection import Bracket, Space
-from jaxnh.analyses.edges.destinations import MOST, UNDECIDED, Destinations, LaneAttractors, lane_attractors, turns_of
+from jaxnh.analyses.edges.destinations import (
+    MOST,
+    UNDECIDED,
+    Destinations,
+    LaneAttractors,
+    lane_attractors,
+    returns,
+    turns_of,
+)
 from jaxnh.analyses.edges.shocks import Shocks, directions_in, least_shocks
 from jaxnh.analyses.edges.tables import OWN_NAMES, Edges, table, variables
 from jaxnh.analyses.edges.tracking import track_edges
@@ -105,7 +113,7 @@ def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"]
 
 def _points(known: Sequence[LaneAttractors], most: int, d: int) -> Shocks:
     """Return points of all attractors, evenly over the motion on each, as shocks that are not known yet."""
-    lane, attractor, point, base = list[int](), list[int](), list[int](), [np.zeros((0, d))]
+    lane, attractor, point, period, base = list[int](), list[int](), list[int](), list[int](), [np.zeros((0, d))]
     for number, known_lane in enumerate(known):
         for place in range(len(known_lane.targets)):
             assert known_lane.attractors is not None
@@ -115,12 +123,14 @@ def _points(known: Sequence[LaneAttractors], most: int, d: int) -> Shocks:
             lane += [number] * len(chosen)
             attractor += [place] * len(chosen)
             point += chosen.tolist()
-    numbers = [np.array(values, int) for values in (lane, attractor, point)]
+            period += [turns if returns(known_lane.attractors, place) else 0] * len(chosen)
+    numbers = [np.array(values, int) for values in (lane, attractor, point, period)]
     unknown = np.full(len(lane), np.nan)
     return Shocks(
         lane=numbers[0],
         attractor=numbers[1],
         point=numbers[2],
+        period=numbers[3],
         base=np.concatenate(base),
         displacement=np.full((len(lane), d), np.nan),
         length=unknown,

@@ -14,17 +14,21 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.batch import LaneRunner
+from jaxnh.analyses.batch import LaneRunner, select
 from jaxnh.analyses.edges.bisection import WIDTH, Bracket, Space, label_points, narrow
-from jaxnh.analyses.edges.destinations import UNDECIDED, Destinations
+from jaxnh.analyses.edges.destinations import TILE, UNDECIDED, Destinations
+from jaxnh.maps.iterate import Derivatives, derivatives
+from jaxnh.maps.protocol import ReturnMap
+from jaxnh.systems.flow import Parameters
 
 _ROW = 16  # lengths at which a direction is looked at first
 _ANGLES = (0.2, 0.1, 0.05, 0.02, 0.01, 0.005)  # rad: of the parabola's shocks from the best one, step by step
 _TRUST = 4.0  # of these angles: the longest step
 _BEYOND = 1.5  # times the best length: how far shocks about it are looked for
 _COVER = 4.0  # times the last gain
+_TWICE = 2.0  # times what twice the steps change
 _IN_FRONT = np.geomspace(0.5, 1e-9, 48)  # of the length: distances from the boundary that are looked at in front of it
 _PASSES = 4  # searches for a local minimum, each from the first strip in front of the one before
 
@@ -35,6 +39,7 @@ class Shocks(NamedTuple):
     Attributes:
         lane, attractor: numbers of the lane and of the attractor, (shocks,).
         point: number of the point of the attractor, (shocks,).
+        period: of the attractor where it is an orbit or an equilibrium, else 0, (shocks,).
         base: the point, (shocks, d).
         displacement: in section coordinates, (shocks, d); not numbers where none crosses the boundary.
         length: of it in sizes, (shocks,).
@@ -45,6 +50,7 @@ class Shocks(NamedTuple):
     lane: Int[np.ndarray, " shocks"]
     attractor: Int[np.ndarray, " shocks"]
     point: Int[np.ndarray, " shocks"]
+    period: Int[np.ndarray, " shocks"]
     base: Float[np.ndarray, "shocks d"]
     displacement: Float[np.ndarray, "shocks d"]
     length: Float[np.ndarray, " shocks"]
@@ -160,9 +166,30 @@ def _refine(space: Space, targets: Destinations, lanes: LaneRunner, best: Shocks
         moved = _shocks_along(space, targets, lanes, best, _turned(directions, basis, turn[:, None]))
         before, best = best.length, _shortest(best, around, moved)
         gain = before - best.length
-    fine = _shocks_along(space, targets.refined(2), lanes, best, _directions(space, best)[:, None])
+    refined = targets.refined(2)
+    there = best._replace(base=best.base + _moved_points(space, refined, lanes, best))
+    fine = _shocks_along(space, refined, lanes, there, _directions(space, best)[:, None])
     off = np.nan_to_num(np.abs(fine.length - best.length), nan=np.inf)
-    return best._replace(error=WIDTH + _COVER * gain + off)
+    return best._replace(error=WIDTH + _COVER * gain + _TWICE * off)
+
+
+def _moved_points(
+    space: Space, targets: Destinations, lanes: LaneRunner, best: Shocks
+) -> Float[np.ndarray, "shocks d"]:
+    """Return by how much points of orbits and equilibria are moved by the steps of a map: one step of Newton."""
+    moved, orbits = np.zeros_like(best.base), np.flatnonzero(best.period)
+    if not len(orbits):
+        return moved
+    base, p = best.base[orbits], select(dict(targets.batch.p), best.lane[orbits])
+    counts = best.period[orbits].astype(np.int32)
+    image, monodromy, _ = lanes(_over_periods, (targets.strobe,), (base, p, counts), tile=TILE)
+    inverse = np.linalg.pinv(np.eye(base.shape[1]) - monodromy)
+    moved[orbits] = np.einsum("lij,lj->li", inverse, targets.batch.chart.wrap(image - base))
+    return moved
+
+
+def _over_periods(strobe: ReturnMap, u: Array, p: Parameters, count: Array) -> Derivatives:
+    return derivatives(strobe, count, u, p)
 
 
 def _in_front(space: Space, targets: Destinations, lanes: LaneRunner, best: Shocks) -> Shocks:
