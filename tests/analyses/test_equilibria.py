@@ -157,17 +157,21 @@ def test_a_clock_leaves_no_equilibria():
         jaxnh.load(ROOT / "configs/branches.yaml", settings).requested()
 
 
-def test_curves_of_equilibria_need_no_section():
-    """The cusp 27 b1² = 4 b2³ of b1 + b2 x − x³, whose every lane comes to rest and returns to no section."""
+@pytest.mark.parametrize("centre", [0.0, 1024.0])
+def test_curves_of_equilibria_need_no_section(centre):
+    """The cusp 27 b1² = 4 b2³ of b1 + b2 x − x³, whose every lane comes to rest and returns to no section; also where x
+    is measured from far away."""
 
-    def cusp(b1=0.1, b2=0.3):
+    def cusp(b1=0.1, b2=0.3, centre=0.0):
         def rhs(y, t):
-            return b1 + b2 * y[0] - y[0] ** 3, -y[1]
+            x = y[0] - centre
+            return b1 + b2 * x - x**3, -y[1]
 
         return {"rhs": rhs, "coordinates": ("x", "y")}
 
-    asked = jaxnh.Curves(max_period=0, equilibria=4, box={"x": [-2, 2], "y": [-1, 1]}, n_values=2)
-    session = jaxnh.Session(cusp, start={"x": -0.3})
+    box = {"x": [centre - 2, centre + 2], "y": [-1, 1]}
+    asked = jaxnh.Curves(max_period=0, equilibria=4, box=box, n_values=2)
+    session = jaxnh.Session(cusp, start={"x": centre - 0.3}, parameters={"centre": centre})
     groups = session.groups({"curves": asked}, b1=np.linspace(-2.0, 2.0, 3), b2=np.array([-1.0, 2.0]))
     assert "section" not in groups["curves"].attrs
     [fold], [point] = groups["curves"]["curve"].to_numpy(), groups["codimension_two"]["codimension_two"].to_numpy()

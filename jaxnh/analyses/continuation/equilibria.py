@@ -79,11 +79,12 @@ def equilibria_in_a_box(
     """
     many, _ = random_start_batch(still, starts, seed, box)
     u, values = many.system.chart.host_points(many.start), np.repeat(still.first_axis.values, starts)
-    size = np.ptp(u, axis=0) / 2.0
+    low, high = np.min(u, axis=0), np.max(u, axis=0)
+    size = (high - low) / 2.0
     size = np.where(size > 0.0, size, size.max())
     zeros = equilibria_from_starts(many, lanes, u, np.tile(size, (len(u), 1)))
     with np.errstate(invalid="ignore"):
-        near = zeros.exists & np.all(np.abs(zeros.u) < _FARTHEST * size, axis=1)
+        near = zeros.exists & np.all(np.abs(zeros.u - (low + high) / 2.0) < _FARTHEST * size, axis=1)
     return zeros.u[near], values[near], size
 
 
