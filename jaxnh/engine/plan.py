@@ -61,9 +61,9 @@ def calibrate(
     Raises:
         AccuracyError: no lane has a period that can be computed, or the solver asked for is not made for the flow.
     """
-    asked = experiment.accuracy
+    asked, requested = experiment.accuracy, experiment.requested() if requested is None else requested
     rows = [points(experiment, axes, places) for places in sample_places(axes, SAMPLED_LANES)]
-    for draw in start_samplers(experiment.requested() if requested is None else requested).values():
+    for draw in start_samplers(requested).values():
         rows = [_with_starts(row, draw, SAMPLED_LANES // len(rows)) for row in rows]
     if asked.solver and asked.steps:
         try:
@@ -75,7 +75,8 @@ def calibrate(
         sampled = sum(count_of(row.start) for row in rows)  # random starts among them, more than the sweep has lanes
         tile = cost_model.lanes_a_tile(max(sampled, experiment.sweep.lanes, 2))  # of one lane too there are many states
         few = lanes.in_tiles(tile) if tile < lanes.tile else lanes  # whose programs analyses share
-        return Calibration(rows, few, experiment.precision, target, asked.sizes, solver)
+        common = goes_back(requested)
+        return Calibration(rows, few, experiment.precision, target, asked.sizes, solver, common=common)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
 
@@ -87,6 +88,11 @@ def start_samplers(requested: Requested) -> dict[str, Starts]:
         if (draw := analysis.starts(options)) is not None:
             starts[f"{analysis.name} {options.model_dump_json(include={'n_starts', 'seed', 'box'})}"] = draw
     return starts
+
+
+def goes_back(requested: Requested) -> bool:
+    """Return whether an analysis follows motions back in time."""
+    return any(analysis.backward(options) for analysis, options in requested)
 
 
 def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:

@@ -29,6 +29,7 @@ from jaxnh.engine.plan import (
     choose,
     find_or_keep_plan,
     find_plan,
+    goes_back,
     in_quickest_form,
     is_short,
     job_of,
@@ -43,6 +44,7 @@ from jaxnh.exceptions import InputError
 from jaxnh.jobs.arrays import import_beside
 from jaxnh.jobs.assembly import assemble
 from jaxnh.jobs.job import Job
+from jaxnh.solvers import AdaptiveMethod
 
 if TYPE_CHECKING:
     import xarray as xr  # imported where the first result is made: with pandas it takes a third of a second
@@ -96,7 +98,7 @@ class Session:
         self.experiment = self._base = experiment
         self._progress = as_progress(progress)
         self._lanes = LaneExecutor(self._progress, list(devices) if devices else devices_of(experiment))
-        self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], bool, Plan]] = []
+        self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], bool, bool, Plan]] = []
 
     def _repr_html_(self) -> str:
         """HTML for a notebook: its experiment, and what calibration has chosen so far; nothing is computed."""
@@ -269,10 +271,12 @@ class Session:
     def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...], find: Callable[..., Plan] = find_plan) -> Plan:
         """The plan of a sweep that has these lanes, made if there is none yet."""
         requested = experiment.requested()
-        drawn = frozenset(start_samplers(requested))
-        for known, sectioned, starts, short, plan in self._plans:
+        drawn, back = frozenset(start_samplers(requested)), goes_back(requested)
+        for known, sectioned, starts, common, short, plan in self._plans:
             # A return is made of steps in time.
             if _lies_within(axes, known) and sectioned >= experiment.sectioned and starts >= drawn:
+                if back and not common and isinstance(plan.solver, AdaptiveMethod):
+                    continue  # steps that all lanes share may do, and go back in time
                 if short and not is_short(experiment, axes, plan, requested):
                     continue  # solvers were not compared, and a longer run is worth it
                 if not plan.is_rehearsed(work_of(requested, experiment.sweep.lanes)):
@@ -282,7 +286,7 @@ class Session:
             experiment, axes = self.experiment, self.experiment.axes
         plan = find(experiment, axes, self._lanes, requested)
         short = is_short(experiment, axes, plan, requested)
-        self._plans.append((axes, experiment.sectioned, drawn, short, plan))
+        self._plans.append((axes, experiment.sectioned, drawn, back, short, plan))
         return plan
 
     def _compute(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:

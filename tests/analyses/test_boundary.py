@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from jaxnh.analyses.basins.boundary import BOX, entropies, measure_boundary, uncertainty_exponent
 from jaxnh.exceptions import ConfigError
@@ -43,10 +44,26 @@ def cantor(n, random):
     return np.maximum(labels, 1), 1 - dimension
 
 
+def two_slopes(n, random):
+    """Of the map m x below a point and 1 + m' (x − 1) above it, which leaves [0, 1] through a gap to either side, along
+    bent lines: m^(−D) + m'^(−D) = 1. Starts have the label of the side; slopes near 2 leave much of a coarse plane mixed.
+    """
+    (x, y), slopes, bent = grid(n, random), random.uniform(2.1, 3.2, 2), random.uniform(-0.2, 0.2, 2)
+    x, y = 1.6 * x - 0.3, 2.0 * y - 1.0
+    x, labels = x - bent[0] * y * y - bent[1] * y, np.zeros(x.shape, int)
+    split = 0.5 * (1.0 / slopes[0] + 1.0 - 1.0 / slopes[1])
+    for _ in range(100):
+        labels = np.where(labels > 0, labels, np.where(x > 1.0, 2, np.where(x < 0.0, 1, 0)))
+        x = np.where(labels > 0, x, np.where(x < split, slopes[0] * x, 1.0 + slopes[1] * (x - 1.0)))
+    return np.maximum(labels, 1), 1.0 - brentq(lambda d: np.sum(slopes**-d) - 1.0, 0.0, 1.0)
+
+
 @pytest.mark.parametrize("n", [64, 200])
-@pytest.mark.parametrize("boundary", [disc, straight, cantor])
+@pytest.mark.parametrize("boundary", [disc, straight, cantor, two_slopes])
 def test_errors_cover_the_exponent(boundary, n):
-    """In 95 of 100 planes: of 60, at least 52 with a probability of 99.5 % (binomial)."""
+    """In 95 of 100 planes: of 60, at least 52 with a probability of 99.5 % (binomial). A line through the logarithms is
+    too low by its bar, or twice that, in three of four planes of two slopes. Of the four distances of 64 starts three
+    parameters leave one degree of freedom, with a Student's t of 13."""
     random = np.random.default_rng(5)
     hits, errors = [], []
     for _ in range(TRIALS):
@@ -55,7 +72,7 @@ def test_errors_cover_the_exponent(boundary, n):
         hits.append(abs(found.value - exponent) <= found.error)
         errors.append(found.error)
     assert np.sum(hits) >= 52
-    assert np.median(errors) < 0.2
+    assert np.median(errors) < (0.5 if n < 100 else 0.15)
 
 
 def test_errors_cover_the_entropies():

@@ -34,6 +34,7 @@ _UNDECIDED = 0
 _FARTHEST = 8  # part of an edge that the largest distance is
 _SCALES = 3
 _FEWEST = 10  # starts that differ, for a distance to count
+_EXPONENTS = np.arange(0.01, 1.5, 0.002)  # that are compared
 _EVEN = 1e-6  # of a distance between neighbours: how far these may differ along an axis
 _WORDS = {
     "basin_entropy": f"basin entropy, of boxes of {BOX} x {BOX} start states",
@@ -125,10 +126,13 @@ def _count_in_boxes(hits: Bool[np.ndarray, "x y"], shape: tuple[int, ...]) -> In
 def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> BoundaryMeasures:
     """Fit the uncertainty exponent over distances of 1, 2, 4, … starts, up to an eighth of the shorter edge.
 
-    A line is fitted to the logarithms. The error has two parts: the scatter about the line, by Student's t, but not
-    less than what the number of starts that differ leaves; and twice what the fit changes by without the larger half of
-    the distances, as what bends the line fades with the distance. It covers the truth where the plane resolves two
-    stages of a boundary that is alike at several scales, not of one whose stages are further apart than that.
+    Of the shares that differ A ε^α − B ε is fitted, with least squares of relative differences: of a boundary alike at
+    several scales, between gaps each of which has two ends, the share f obeys f(ε) = Σ f(m_i ε)/m_i + O(ε), whose
+    regular part is linear. The error has two parts: the scatter about a line through the logarithms, by Student's t,
+    but not less than what the number of starts that differ leaves; and the largest of what the fit changes by without
+    the smallest, or the largest, of the distances. Of three distances alone it is infinite. It covers the truth where
+    the plane resolves two stages of a boundary that is alike at several scales, not of one whose stages are further
+    apart than that.
     """
     distances = 2 ** np.arange(int(np.log2(max(min(labels.shape) // _FARTHEST, 1))) + 1)
     counts = [_count_different(labels, int(r), int(distances[-1])) for r in distances]
@@ -137,13 +141,14 @@ def uncertainty_exponent(labels: Int[np.ndarray, "x y"]) -> BoundaryMeasures:
     if np.sum(use) < _SCALES:
         return BoundaryMeasures(np.nan, np.nan)
     x, y = np.log(distances[use]), np.log(differ[use] / pairs[use])
-    slope, scatter = _fit_line(x, y)
+    exponent, free = _fit_power(x, y), len(x) - _SCALES
+    if not free:
+        return BoundaryMeasures(exponent, np.inf)
     away = x - x.mean()
     counting = float(np.sqrt(np.sum(away**2 / differ[use])) / (away @ away))
-    inner = -(-len(x) // 2) + 1
-    bias = 2.0 * (_fit_line(x[:inner], y[:inner])[0] - slope)
-    chance = max(student(len(x) - 1) * scatter, normal_quantile() * counting)
-    return BoundaryMeasures(slope, float(np.hypot(chance, bias)))
+    chance = max(student(free + 1) * _scatter_of_slope(x, y), normal_quantile() * counting)
+    others = (_fit_power(x[part], y[part]) for part in (np.s_[1:], np.s_[:-1]))
+    return BoundaryMeasures(exponent, chance + max(abs(other - exponent) for other in others))
 
 
 def _count_different(labels: Int[np.ndarray, "x y"], distance: int, margin: int) -> tuple[int, int]:
@@ -161,9 +166,20 @@ def _count_different(labels: Int[np.ndarray, "x y"], distance: int, margin: int)
     return differ, max(pairs, 1)
 
 
-def _fit_line(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """Return the slope of a line through points, and its standard error by their scatter."""
+def _fit_power(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
+    """Return the exponent α of A ε^α − B ε, with A and B not below zero, through points ln ε and the logarithms."""
+    share, distance = np.exp(y), np.exp(x - x[-1])
+    power, linear = distance ** _EXPONENTS[:, None] / share, -distance / share
+    (pp, pl, p1), (ll, l1) = (np.sum(power * k, axis=1) for k in (power, linear, 1.0)), (linear @ linear, linear.sum())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = np.stack([p1 * ll - l1 * pl, l1 * pp - p1 * pl]) / (pp * ll - pl**2)
+    alone = ~(b >= 0.0)
+    a, b = np.where(alone, p1 / pp, a), np.where(alone, 0.0, b)
+    return float(_EXPONENTS[np.argmin(np.sum((a[:, None] * power + b[:, None] * linear - 1.0) ** 2, axis=1))])
+
+
+def _scatter_of_slope(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
+    """Return the standard error of the slope of a line through points, by their scatter."""
     away = x - x.mean()
-    slope = float(away @ y / (away @ away))
-    rest = y - y.mean() - slope * away
-    return slope, float(np.sqrt(rest @ rest / (max(len(x) - 2, 1) * (away @ away))))
+    rest = y - y.mean() - float(away @ y / (away @ away)) * away
+    return float(np.sqrt(rest @ rest / (max(len(x) - 2, 1) * (away @ away))))

@@ -304,6 +304,7 @@ ANALYSIS = Analysis(
     run,
     independent=lambda options: not options.max_period,
     choose=choose,
+    backward=lambda _: True,
     classes=kind_of_lanes,
     check=check,
     table=table,

@@ -108,6 +108,8 @@ class Calibration:
         target: float | None = None,
         sizes: Mapping[str, float] | None = None,
         solver: Solver | None = None,
+        *,
+        common: bool = False,
     ) -> None:
         """Measure the reference.
 
@@ -116,6 +118,7 @@ class Calibration:
             target: the only one that will be asked for: the reference is then refined as far as it needs.
             sizes: of the motion, by coordinate, in place of those measured.
             solver: the only one that will be asked for.
+            common: whether steps that all lanes share are taken wherever these do.
 
         Raises:
             AccuracyError: no lane has a period that can be computed.
@@ -128,10 +131,10 @@ class Calibration:
         try:
             self._measure(maps)
         except TooDearError as dear:
-            ways = [False] if dear.stiff else [True, False]
+            ways = [False] if dear.stiff else [] if common else [True, False]
             own = any(self._take_own_steps(maps, explicit=way, kicks=dear.kicks) for way in ways)
             if not own or self.floor > self._target:
-                self._measure(maps, at_any_price=True)
+                self._measure_at_any_price(maps)
         except LostLaneError:
             if not self._take_own_steps(maps):
                 raise
@@ -156,6 +159,13 @@ class Calibration:
         self._measure_reference()
         while self._reference.unresolved and self._split_unit():
             pass
+
+    def _measure_at_any_price(self, maps: SampleMaps) -> None:
+        try:
+            self._measure(maps, at_any_price=True)
+        except LostLaneError:
+            if not self._take_own_steps(maps, explicit=True):
+                raise
 
     def _take_own_steps(self, maps: SampleMaps, *, explicit: bool = False, kicks: int = 0) -> bool:
         """Measure everything anew with steps of a lane's own, implicit ones as stiff flows and corners need them.
