@@ -51,6 +51,8 @@ def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: 
     levels = {name: given[name] for name in integrals if name in given}
     if len(levels) > 1:
         raise rule("velocities are scaled to the level of one integral; leave out the others", "initial.level", "sweep")
+    if isinstance(flow, SwitchedMechanics):
+        _check_restitutions(flow, axes, parameters)
     # A constraint that comes and goes begins where a start is off it.
     flow = flow.mechanics if isinstance(flow, SwitchedMechanics) else off_level(flow)
     if not isinstance(flow, Lagrangian) or not (flow.constrained or levels):
@@ -79,6 +81,24 @@ def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: 
     message, keys = _describe_residual(flow, int(number), float(residuals[number, lane]), where, near)
     own = [key for key in swept if key.removeprefix("sweep.") in keys]
     raise rule(message, *own, *(f"initial.{key}" for key in (*keys, *flow.names)), *swept, "initial", "system")
+
+
+def _check_restitutions(flow: SwitchedMechanics, axes: Parameters, parameters: Parameters) -> None:
+    """Check that no coefficient of restitution is negative at any lane: the motion would go on through the wall."""
+
+    def restitutions(p: Parameters) -> dict[str, Array]:
+        jumps = enumerate(flow.definition(p)["jumps"] if flow.jumps else ())
+        return {f"jumps[{k}]": jnp.asarray(jump["restitution"], float) for k, jump in jumps if "restitution" in jump}
+
+    lanes = len(next(iter(axes.values())))
+    every = {"": np.zeros(lanes), **parameters}
+    for where, values in jax.vmap(lambda p: restitutions({name: p[name] for name in parameters}))(every).items():
+        if np.any(below := np.asarray(values) < 0.0):
+            lane = int(np.argmax(below))
+            at = join_words([f"{name} = {swept[lane]:g}" for name, swept in axes.items()])
+            message = f"{where}.restitution is {float(values[lane]):g} at {at}, and must not be negative"
+            unswept = float(restitutions({})[where]) < 0.0
+            raise rule(message, *(f"sweep.{name}" for name in parameters if not unswept), "system")
 
 
 def _describe_residual(

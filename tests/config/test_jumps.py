@@ -153,6 +153,21 @@ def test_fault_in_mechanics(tmp_path, edit, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("values", "written", "message"),
+    [
+        ("[0.8, -0.2]", "r", "own.yaml:3: sweep.r: jumps[1].restitution is -0.2 at r = -0.2, and must not be negative"),
+        ("[0.8, 1.2]", "-0.5", "own.yaml:1: system: jumps[1].restitution is -0.5 at r = 0.8, and must not be negative"),
+    ],
+)
+def test_a_negative_restitution(tmp_path, values, written, message):
+    """A motion would go on through the wall."""
+    config = CONFIG.replace("{x: -1.0}", "{y: 0.1}").replace("[0.8, 0.9]", values)
+    with pytest.raises(ConfigError) as caught:
+        jaxnh.load(write(tmp_path, MECHANICS.replace('"restitution": r', f'"restitution": {written}'), config))
+    assert str(caught.value) == f"{tmp_path}/{message}"
+
+
 def test_a_wall_alone_has_the_clock(tmp_path):
     """A ball on a table that moves: what falls knows no time, and where it falls on does."""
     text = FILE.replace("jnp.cos(w * t)", "1.0").replace(
