@@ -8,11 +8,12 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.orbits.continuation.arclength import Family, PathVector, length
+from jaxnh.orbits.continuation.arclength import Family, PathVector, inner, length
 from jaxnh.orbits.continuation.branches import Branch
 
 SAME = 1e-4
 """Lengths: cubics between points are nearer to the branch than this, and other branches are further, mostly."""
+_ALONG = 100.0  # times that: where a branch is steep in its orbits, a cubic is as far off along it at one value
 _HALVINGS = 40
 _REACH = 2.0  # chords: a cubic goes no further than 1.3 from its beginning
 
@@ -56,12 +57,12 @@ class KnownBranches:
                 self._family, PathVector(*(part[first + 1] - part[first] for part in (self._points, self._value)))
             )
             first = first[_distances_from(self._family, self._points[first], points) <= _REACH * chord + near]
-        there = self._orbits(first, ends, value)
-        return bool(len(there) and _distances_from(self._family, there, points).min() <= near)
+        there, ways = self._orbits(first, ends, value)
+        return bool(len(there) and _distances_across(self._family, there, ways, points, _ALONG * near).min() <= near)
 
     def orbits_at(self, value: float) -> Float[np.ndarray, "some n d"]:
         """Their orbits at a value of the parameter, nearly; where one turns, perhaps two."""
-        return self._orbits(*self._passing(value), value)
+        return self._orbits(*self._passing(value), value)[0]
 
     def _passing(self, value: float) -> tuple[Int[np.ndarray, " some"], Int[np.ndarray, " ends"]]:
         """Points between which and the next branches may pass a value, and ends of branches that are at it."""
@@ -74,16 +75,20 @@ class KnownBranches:
 
     def _orbits(
         self, first: Int[np.ndarray, " some"], ends: Int[np.ndarray, " ends"], value: float
-    ) -> Float[np.ndarray, "more n d"]:
+    ) -> tuple[Float[np.ndarray, "more n d"], PathVector]:
+        """Return orbits at a value, and the directions of branches there."""
         pairs = np.stack([first, first + 1])
-        between = _on_cubics(
+        between, ways = _on_cubics(
             self._family,
             self._points[pairs],
             self._value[pairs],
             PathVector(self._way[pairs], self._rate[pairs]),
             value,
         )
-        return np.concatenate([self._points[ends], between])
+        every = PathVector(
+            np.concatenate([self._way[ends], ways.points]), np.concatenate([self._rate[ends], ways.value])
+        )
+        return np.concatenate([self._points[ends], between]), every
 
 
 def is_on_branch(
@@ -118,14 +123,13 @@ def _on_cubics(
     values: Float[np.ndarray, "2 some"],
     ways: PathVector,
     value: float,
-) -> Float[np.ndarray, "more n d"]:
-    """Return the orbits at a value on cubics between points of branches and their next."""
+) -> tuple[Float[np.ndarray, "more n d"], PathVector]:
+    """Return the orbits at a value on cubics between points of branches and their next, and the cubics' directions."""
     size = length(family, PathVector(points[1] - points[0], values[1] - values[0]))
     rates, slopes = size * ways.value, size[:, None, None] * ways.points
 
     def rise(s: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        left, (first, last), (start, end) = 1.0 - s, values[:, rows], rates[:, rows]
-        return 6.0 * s * left * (last - first) + left * (1.0 - 3.0 * s) * start + s * (3.0 * s - 2.0) * end
+        return _cubic_slope(s, values[:, rows], rates[:, rows])
 
     def above(s: np.ndarray, rows: np.ndarray) -> np.ndarray:
         return _cubic(s, values[:, rows], rates[:, rows]) - value
@@ -133,12 +137,14 @@ def _on_cubics(
     zeros, ones, every = np.zeros(len(size)), np.ones(len(size)), np.arange(len(size))
     turn, turns = zeros.copy(), np.flatnonzero(rise(zeros, every) * rise(ones, every) < 0.0)
     turn[turns] = _zeros(partial(rise, rows=turns), zeros[turns], ones[turns])
-    orbits = list[np.ndarray]()
+    orbits, directions = list[np.ndarray](), list[PathVector]()
     for low, high in ((zeros, turn), (turn, ones)):
         rows = np.flatnonzero((above(low, every) <= 0.0) != (above(high, every) <= 0.0))
-        places = _zeros(partial(above, rows=rows), low[rows], high[rows])[:, None, None]
-        orbits.append(_cubic(places, points[:, rows], slopes[:, rows]))
-    return np.concatenate(orbits)
+        places = _zeros(partial(above, rows=rows), low[rows], high[rows])
+        orbits.append(_cubic(places[:, None, None], points[:, rows], slopes[:, rows]))
+        turned = _cubic_slope(places[:, None, None], points[:, rows], slopes[:, rows])
+        directions.append(PathVector(turned, _cubic_slope(places, values[:, rows], rates[:, rows])))
+    return np.concatenate(orbits), PathVector(*map(np.concatenate, zip(*directions, strict=True)))
 
 
 def _cubic(s: np.ndarray, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -146,6 +152,12 @@ def _cubic(s: np.ndarray, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     left = 1.0 - s
     bent = s * s * (3.0 - 2.0 * s)
     return ends[0] + bent * (ends[1] - ends[0]) + s * left * left * slopes[0] - s * s * left * slopes[1]
+
+
+def _cubic_slope(s: np.ndarray, ends: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Derivatives in s of Hermite's polynomials."""
+    left = 1.0 - s
+    return 6.0 * s * left * (ends[1] - ends[0]) + left * (1.0 - 3.0 * s) * slopes[0] + s * (3.0 * s - 2.0) * slopes[1]
 
 
 def _zeros(
@@ -169,3 +181,23 @@ def _distances_from(
     none = np.zeros(len(orbits))
     shifted = (np.roll(orbit, m, 0) for m in range(len(orbit)))
     return np.min([length(family, PathVector(family.wrap(orbits - start), none)) for start in shifted], axis=0)
+
+
+def _distances_across(
+    family: Family,
+    orbits: Float[np.ndarray, "orbits n d"],
+    ways: PathVector,
+    orbit: Float[np.ndarray, "n d"],
+    far: float,
+) -> Float[np.ndarray, " orbits"]:
+    """Distances of branches through orbits, in their directions there, from an orbit; whole ones of those far away."""
+    none, unit = np.zeros(len(orbits)), length(family, ways)
+    least = np.full(len(orbits), np.inf)
+    for m in range(len(orbit)):
+        way = PathVector(family.wrap(orbits - np.roll(orbit, m, 0)), none)
+        whole = length(family, way)
+        with np.errstate(invalid="ignore"):  # ends of a branch of one point have no direction
+            along = np.nan_to_num(inner(family, way, ways) / unit)
+        across = np.sqrt(np.maximum(whole**2 - along**2, 0.0))
+        least = np.minimum(least, np.where(whole <= far, across, whole))
+    return least

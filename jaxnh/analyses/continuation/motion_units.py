@@ -24,24 +24,36 @@ _STILL = 1e-9  # of the extent of starts: what moves less in a radian of the per
 _PHASES = (0.0, 0.29, 0.61)  # shares of a period, at which no forcing with a symmetry vanishes twice
 _ESCAPED = 1e15  # times the extent of starts: larger motions that are no orbits are on their way to infinity
 _VANISHES = 1.001  # of the smallest size that a motion is given: what is no larger decays, or rests at zero
+_SPREADS = 10.0  # times what a coordinate changes by: far from zero it is no larger than that, and
+_FARTHEST = 30.0  # so many times smaller than its modulus at most: rounding is the modulus'
 _LEAST = 0.01  # of the extent of starts: smaller motions that are no orbits are on their way to an equilibrium
 
 
 def sizes_in_motion(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> Float[np.ndarray, "lanes d"]:
     """Return the sizes of the motions of lanes, NaN of those that have failed or come to rest."""
     settled, u = survey.period > 0, np.where((survey.period > 0)[:, None], survey.u, np.nan)
+    sizes = survey.size
     if batch.on_section:
         resting = at_rest(batch, lanes, u)
     elif batch.chart.dimensionless:  # where sizes are one, whatever moves
         resting = np.zeros(batch.count, bool)
     elif batch.flow.continuous:
-        moved = np.abs(lanes(_rates_over_period, (batch.system, _times(batch)), (u, dict(batch.p))))
+        rate = np.abs(lanes(_rates_over_period, (batch.system, _times(batch)), (u, dict(batch.p))))
+        moved = np.max(rate.reshape(batch.count, len(_PHASES), -1), axis=1) * radian(batch)
         unit = np.max(extent(batch, lanes, batch.start), axis=0)
-        resting = np.all(moved * radian(batch) <= _STILL * np.tile(unit, len(_PHASES)), axis=1)
+        resting, sizes = np.all(moved <= _STILL * unit, axis=1), _by_spread(batch, sizes, moved)
     else:
         unit = np.max(np.abs(points_at(batch, lanes, batch.start)), axis=0)
         resting = np.all(np.abs(u) <= _STILL * unit, axis=1)
-    return np.where((survey.failed | (settled & resting))[:, None], np.nan, survey.size)
+    return np.where((survey.failed | (settled & resting))[:, None], np.nan, sizes)
+
+
+def _by_spread(
+    batch: LaneBatch, modulus: Float[np.ndarray, "*some d"], spread: Float[np.ndarray, "*some d"]
+) -> Float[np.ndarray, "*some d"]:
+    """Return sizes by what coordinates change by, where that is far less than their modulus."""
+    smaller = np.minimum(modulus, np.maximum(_SPREADS * spread, modulus / _FARTHEST))
+    return np.where((spread > 0.0) & ~np.array(batch.chart.angles), smaller, modulus)
 
 
 def motion_unit(
@@ -114,6 +126,7 @@ def _extent_of_starts(batch: LaneBatch, lanes: LaneRunner, box: Box) -> Float[np
         return np.ones(batch.chart.dimension)
     points = np.concatenate([points_at(corner, lanes, corner.start) for corner in box_corners(batch, box)])
     extent = np.where(np.array(batch.chart.angles), 1.0, np.max(np.abs(points), axis=0))
+    extent = _by_spread(batch, extent, 0.5 * np.ptp(points, axis=0))
     return np.where(extent > 0.0, extent, extent.max() or 1.0)
 
 
