@@ -83,7 +83,9 @@ def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: 
     raise rule(message, *own, *(f"initial.{key}" for key in (*keys, *flow.names)), *swept, "initial", "system")
 
 
-def _check_restitutions(flow: SwitchedMechanics, axes: Parameters, parameters: Parameters) -> None:
+def _check_restitutions(
+    flow: SwitchedMechanics, axes: Mapping[str, np.ndarray], parameters: Mapping[str, np.ndarray]
+) -> None:
     """Check that no coefficient of restitution is negative at any lane: the motion would go on through the wall."""
 
     def restitutions(p: Parameters) -> dict[str, Array]:

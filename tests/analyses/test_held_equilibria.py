@@ -91,6 +91,7 @@ def test_many_held_equilibria():
     assert jaxnh.labels(groups["basins"]["undecided"]).values.tolist() == ["time"] * 8
 
 
+@pytest.mark.slow
 def test_a_cycle_as_long_as_the_unit_of_time():
     """Stick and slip come back after it to where they were, at which the block may stick: no equilibrium."""
 

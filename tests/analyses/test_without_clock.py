@@ -91,6 +91,8 @@ def test_largest_exponent_across_the_flow():
     largest, error = largest_across(exponents, errors)
     assert largest.tolist() == [0.9, 0.0, -0.3, -0.1]
     assert error.tolist() == [0.1, 0.0, 0.02, 0.001]
+    slides = largest_across(np.array([[0.0, -np.inf, -np.inf]]), np.array([[0.0, 0.0, 0.0]]))
+    assert [float(value[0]) for value in slides] == [-np.inf, 0.0]
     largest, error = largest_across(np.array([[0.0], [0.5]]), np.array([[0.0], [0.1]]))
     assert (largest.tolist(), error.tolist()) == ([0.0, 0.5], [np.inf, 0.1])
 

@@ -91,19 +91,23 @@ def _with_held(
     size: Float[np.ndarray, "lanes d"],
     equilibria: Equilibria,
 ) -> Equilibria:
-    """Return equilibria with those of lanes that are held: fixed points of the map over a unit of time."""
-    shared, p, at = (batch.strobe(),), dict(batch.p), u
-    change = np.zeros_like(u)
-    for _ in range(_HELD_STEPS):
-        image, monodromy, volume = lanes(_map_and_derivative, shared, (at, p))
+    """Return equilibria with those of lanes that are held: fixed points of the map over a unit of time, by Newton."""
+    shared, p, unit = (batch.strobe(),), dict(batch.p), np.eye(u.shape[1])
+
+    def mapped(at: np.ndarray) -> list[np.ndarray]:
+        image, monodromy, volume = map(np.asarray, lanes(_map_and_derivative, shared, (at, p)))
         change = batch.chart.wrap(image - at)
         finite = np.all(np.isfinite(monodromy), axis=(1, 2)) & np.all(np.isfinite(change), axis=1)
-        shift = np.where(finite[:, None, None], np.eye(u.shape[1]) - monodromy, np.eye(u.shape[1]))
-        at = at + np.einsum("lij,lj->li", np.linalg.pinv(shift), np.where(finite[:, None], change, 0.0))
-    held = finite & (volume == 0.0)
+        still = finite[:, None], finite[:, None, None]
+        return [image, np.where(still[0], change, 0.0), np.where(still[1], monodromy, 0.0), finite & (volume == 0.0)]
+
+    for _ in range(_HELD_STEPS):
+        _, change, monodromy, _ = mapped(u)
+        u = u + np.einsum("lij,lj->li", np.linalg.pinv(unit - monodromy), change)
+    image, change, monodromy, held = mapped(u)
     exists = held & np.all(np.abs(change) <= _rounding(batch, size), axis=1)
     exists &= _are_zero(batch, size, *field_and_slopes(batch.flow, lanes, image, p))  # and no cycle as long as a unit
-    largest = np.abs(np.linalg.eigvals(np.where(held[:, None, None], monodromy, 0.0))).max(axis=1)
+    largest = np.abs(np.linalg.eigvals(monodromy)).max(axis=1)
     with np.errstate(divide="ignore"):
         exponent = np.where(exists, np.log(largest) / batch.flow.period, np.nan)
     of_map = Equilibria(exists, exists & (largest < 1.0 - _ROUNDING), image, exponent)

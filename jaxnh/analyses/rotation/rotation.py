@@ -138,9 +138,10 @@ def _with_errors_of_steps(
     fine = jax.tree.map(lambda first, rest: np.concatenate([first[:, None], rest], axis=1), begin, fine)
     with np.errstate(invalid="ignore", over="ignore"):
         turns = [advances_of(options, few, part).turns for part in (coarse, fine)]
-        moved = np.abs(np.subtract(*(half_averages(each) for each in turns)))
+        first, second = (half_averages(each) for each in turns)
+    moved = np.abs(second - first)
     moved = np.where(np.isnan(moved), np.inf, np.minimum(moved, np.abs(1.0 - moved)))  # whole turns may not be known
-    error[open_] += 2.0 * displacement(*moved, count // 2 / (options.transient + options.periods))
+    error[open_] += 2.0 * displacement(moved[0], moved[1], count // 2 / (options.transient + options.periods))
     return average._replace(error=error)
 
 
