@@ -10,7 +10,7 @@ A survey sends thousands of lanes to their attractors and finds the period of ea
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,7 @@ _FURTHER, _CLOSER = 4, 3  # windows of distances beyond a doubling, each 32 time
 _LONGEST_SEEN = 64  # period that a survey looks for, whatever the cascade comes to
 _LONG = 32  # periods above are followed by multiple shooting alone, from one level to the next
 _BEYOND, _UP_TO = 0.4, 1.5  # shares of the distance expected to the next doubling
+_EARLY, _LATER = 10.0, 3.0  # times that the ratio of distances between doublings may be off what is usual
 _SHOWN = 6  # tries in words
 _SELDOM = 0.5  # of the lanes that have a period: motions may settle on no orbit, as conservative ones
 
@@ -161,9 +162,29 @@ def _next_level(steps: _Steps, start: Start, known: list[_Level]) -> _Level | No
     for bracket in _brackets(steps, start, known, n):
         after = known[-1].located.point.value if known else -sign * np.inf
         located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
-        if located is not None and sign * (located.point.value - after) > 0:
+        if located is not None and sign * (located.point.value - after) > 0 and _follows(located.point.value, known):
             return _Level(located, float(abs(bracket.value[1] - bracket.value[0])))
+    if len(known) > 1:  # where no orbit of its period is seen
+        points = [level.located.point for level in known]
+        gap = (points[-1].value - points[-2].value) / FEIGENBAUM
+        within = sign * (start.line.value[-1] - points[-1].value - gap) > 0
+        located = steps.long(points[-1], gap) if within else None
+        if located is not None and _follows(located.point.value, known):
+            return _Level(located, abs(gap))
     return None
+
+
+def _follows(value: float, known: Sequence[_Level]) -> bool:
+    """Return whether a doubling is as far from the last as one of its daughter may be, and no other orbit's is.
+
+    Distances fall in a ratio that tends to a limit, δ of a quadratic extremum and twice that where area is kept: the
+    first by a tenth to ten times it, later ones by a third to three times the ratio before.
+    """
+    if len(known) < 2:
+        return True
+    gaps = np.abs(np.diff([*(level.located.point.value for level in known), value]))
+    usual, reach = (gaps[-3] / gaps[-2], _LATER) if len(gaps) > 2 else (FEIGENBAUM, _EARLY)
+    return bool(usual / reach <= gaps[-2] / gaps[-1] <= usual * reach)
 
 
 def _brackets(steps: _Steps, start: Start, known: list[_Level], n: int) -> Iterator[PeriodScan]:

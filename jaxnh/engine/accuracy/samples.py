@@ -24,8 +24,8 @@ from jaxnh.maps.section import Crossing, Section, System, flow_of
 from jaxnh.solvers import Solver
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
-from jaxnh.systems.state import State
-from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO, NO_RETURN
+from jaxnh.systems.state import State, status_in_nan
+from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO, NO_RETURN, OUT_OF_STEPS
 
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
 _AT_ONCE = 16 * _PERIODS  # of a rehearsal in one call; one by one where a lane is lost in them
@@ -183,11 +183,17 @@ def _follow_by(
 
 
 def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: State, first: int = 2) -> int:
-    """Return a lane that steps lose in period `first` or later but whose motion stays finite; −1: there is none."""
+    """Return a lane that steps lose in period `first` or later but whose motion stays finite; −1: there is none.
+
+    One that has run out of steps of its own, as on its way to infinity, needs no finer ones while others go on.
+    """
     every = jax.tree.map(lambda leaf, end: np.concatenate([leaf, end[:, None]], axis=1), states, last)
     finite = _finite(every)
     when = np.argmin(finite, axis=1)
     lost = finite[:, 0] & (when >= first)
+    if maps.adaptive and np.any(finite[:, -1]):
+        ended = np.asarray(jax.tree.leaves(every)[0], float)[:, -1]
+        lost &= status_in_nan(ended) != OUT_OF_STEPS
     if not np.any(lost):
         return -1
     lane = np.arange(len(when))
