@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxnh
+from jaxnh.analyses.cascade.follow import follows
 from jaxnh.engine.experiment import Experiment
 from tests.flows.roessler import doubling_of_roessler
 from tests.helpers import taylor
@@ -107,3 +108,38 @@ analyses:
         exact, multipliers = bifurcation(image, "period_doubling", value, u)
         assert np.abs(multipliers + 1).min() < 1e-6
         assert abs(value - exact) < error < 20 * abs(value - exact)
+
+
+def cubic_henon(v=2.0, b=0.2, e=0.05):
+    def image(y):
+        return v * y[0] - y[0] ** 3 + e * y[0] ** 2 + y[1], -b * y[0]
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+@pytest.mark.parametrize(("b", "e"), [(0.2, 0.05), (0.11, -0.1)])
+def test_levels_that_no_lane_shows(b, e):
+    """Orbits of period 16 and 32 attract over less than the distance between lanes, and one step from the mother's orbit does
+    not lead to them: multiple shooting does. Ratios of distances come to Feigenbaum's constant."""
+    session = jaxnh.Session(cubic_henon, start={"x": 0.1, "y": 0.05}, parameters={"b": b, "e": e})
+    data = session.run(jaxnh.Doubling(levels=6), v=np.linspace(1.2, 2.5, 60))
+    assert np.isfinite(data["v"].to_numpy()).all()
+    delta = data["delta"].to_numpy()[1:-1]
+    assert np.all(np.diff(np.abs(delta - 4.669201609)) < 0.0)
+    assert delta[-1] == pytest.approx(4.669201609, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("values", "may"),
+    [
+        ([1.0, 9.0], True),  # of two there is no ratio
+        ([0.0, 1.0, 1.2], True),
+        ([0.0, 1.0, 1.01], False),
+        ([0.0, 1.0, 4.0], False),
+        ([0.0, -1.0, -1.2, -1.24], True),
+        ([0.0, -1.0, -1.2, -1.35], False),
+    ],
+)
+def test_doublings_of_other_orbits(values, may):
+    """The first distance is a tenth to ten times what is expected; of later ones the ratio a third to three times the last."""
+    assert follows(values) is may

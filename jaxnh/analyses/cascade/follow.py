@@ -159,30 +159,31 @@ def _next_level(steps: _Steps, start: Start, known: list[_Level]) -> _Level | No
         located = steps.long(points[-1], gap) if sign * (start.line.value[-1] - points[-1].value - gap) > 0 else None
         if located is not None or n > 4 * _LONG:
             return located and _Level(located, abs(gap))
+    values = [level.located.point.value for level in known]
     for bracket in _brackets(steps, start, known, n):
         after = known[-1].located.point.value if known else -sign * np.inf
         located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
-        if located is not None and sign * (located.point.value - after) > 0 and _follows(located.point.value, known):
+        if located is not None and sign * (located.point.value - after) > 0 and follows([*values, located.point.value]):
             return _Level(located, float(abs(bracket.value[1] - bracket.value[0])))
     if len(known) > 1:  # where no orbit of its period is seen
         points = [level.located.point for level in known]
         gap = (points[-1].value - points[-2].value) / FEIGENBAUM
         within = sign * (start.line.value[-1] - points[-1].value - gap) > 0
         located = steps.long(points[-1], gap) if within else None
-        if located is not None and _follows(located.point.value, known):
+        if located is not None and follows([*values, located.point.value]):
             return _Level(located, abs(gap))
     return None
 
 
-def _follows(value: float, known: Sequence[_Level]) -> bool:
-    """Return whether a doubling is as far from the last as one of its daughter may be, and no other orbit's is.
+def follows(values: Sequence[float]) -> bool:
+    """Return whether the last of some doublings is as far from the one before as that of its daughter may be.
 
     Distances fall in a ratio that tends to a limit, δ of a quadratic extremum and twice that where area is kept: the
     first by a tenth to ten times it, later ones by a third to three times the ratio before.
     """
-    if len(known) < 2:
+    if len(values) < 3:
         return True
-    gaps = np.abs(np.diff([*(level.located.point.value for level in known), value]))
+    gaps = np.abs(np.diff(values))
     usual, reach = (gaps[-3] / gaps[-2], _LATER) if len(gaps) > 2 else (FEIGENBAUM, _EARLY)
     return bool(usual / reach <= gaps[-2] / gaps[-1] <= usual * reach)
 
