@@ -78,8 +78,8 @@ def errors_of_special(
 def _error(
     coarse: Float[np.ndarray, " *shape"], fine: Float[np.ndarray, " *shape"], finest: Float[np.ndarray, " *shape"]
 ) -> Float[np.ndarray, " *shape"]:
-    """Error of the first value; rounding of all three is in it.
+    """Error of the first value, with as much in reserve for a reader who takes one parameter as exact; with rounding.
 
     What is left beyond the finest is less than how far it is from the one before.
     """
-    return np.abs(coarse - fine) + 2.0 * np.abs(fine - finest) + np.spacing(np.abs(coarse))
+    return 2.0 * (np.abs(coarse - fine) + np.abs(fine - finest)) + np.spacing(np.abs(coarse))

@@ -17,8 +17,17 @@ from jaxtyping import Bool, Complex, Float, Int
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, correct, inner, length, minus, times
 from jaxnh.orbits.continuation.branches import Branch
 from jaxnh.orbits.continuation.core import FINE
-from jaxnh.orbits.continuation.kinds import BRANCH_POINT, FOLD, NEIMARK_SACKER, eigenvalues, kinds, test_functions
+from jaxnh.orbits.continuation.kinds import (
+    BRANCH_POINT,
+    DOUBLING,
+    FOLD,
+    NEIMARK_SACKER,
+    eigenvalues,
+    kinds,
+    test_functions,
+)
 from jaxnh.orbits.continuation.paths import COLLAPSED, NEAR
+from jaxnh.orbits.multipliers import multipliers
 
 NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)
 """Chebyshev nodes of [−1, 1]."""
@@ -33,6 +42,7 @@ _CLOSER = 10  # times that a bracket in which no polynomial fits is narrowed to 
 _NEAR = (1 / 64, 1 / 4, 2.0)  # of a chord, about the place of a zero of a less fine map
 _SAFETY = 2.0  # the largest of six misfits, of two degrees of freedom, against the error of a fit
 _OUT = 32.0  # times how far Newton may end from its guess, that its steps may be long
+_ROUNDINGS = 8.0  # of a determinant
 _BEYOND = 1.5  # nodes' width that a root may lie outside
 _NOISE = 0.05  # of the width of the first nodes: a root less sharp than this is one of rounding
 _ON_CIRCLE = 1e-4  # of a modulus from one, where the product of two multipliers is one to rounding
@@ -152,7 +162,8 @@ def locate(
         nodes = _orbits(family, part, shares, of_part)
         values = nodes.value.reshape(shares.shape)
         tests = _own_test(family, nodes, np.repeat(part.kind, len(NODES))).reshape(shares.shape)
-        root, blur, at_root, off, turn = roots(tests, values)
+        noise = _noise(family, nodes.blocks[:: len(NODES)], part.kind)
+        root, blur, at_root, off, turn = roots(tests, values, noise)
         blur = blur * widths[open_]
         whole = nodes.converged.reshape(shares.shape).all(axis=1)
         if near is None and not number:
@@ -315,12 +326,32 @@ def _own_test(family: Family, nodes: CurveOrbits, kind: Int[np.ndarray, " nodes"
         return np.take_along_axis(test_functions(family, safe), column[:, None], axis=1)[:, 0]
 
 
+def _noise(
+    family: Family, blocks: Float[np.ndarray, "some n d d"], kind: Int[np.ndarray, " some"]
+) -> Float[np.ndarray, " some"]:
+    """Rounding of the test functions of maps that are determinants, by the sizes of the terms that cancel in them."""
+    size = np.zeros(len(kind))
+    rows = np.flatnonzero(np.isin(kind, (DOUBLING, NEIMARK_SACKER)) & np.isfinite(blocks).all(axis=(1, 2, 3)))
+    if family.field or not len(rows):
+        return size
+    moduli = np.abs(multipliers(blocks[rows]))
+    i, j = np.triu_indices(moduli.shape[1], 1)
+    single, pairs = (np.prod(1.0 + terms, axis=1) for terms in (moduli, moduli[:, i] * moduli[:, j]))
+    size[rows] = _ROUNDINGS * np.finfo(float).eps * np.where(kind[rows] == DOUBLING, single, pairs)
+    return size
+
+
 def roots(
-    tests: Float[np.ndarray, "some nodes"], values: Float[np.ndarray, "some nodes"]
+    tests: Float[np.ndarray, "some nodes"],
+    values: Float[np.ndarray, "some nodes"],
+    noise: Float[np.ndarray, " some"] | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Roots of polynomials through test functions, in nodes' widths, with their errors.
 
     And values there, their errors, and their second derivatives. Not a number where there is no root near.
+
+    Args:
+        noise: of the test functions, that nodes have in common.
     """
     reference = values[:, :1]
     fit, line = _fit(tests), _fit(values - reference)
@@ -337,6 +368,7 @@ def roots(
         rise = _polynomial(_derivative(line), root[:, None])[:, 0]
         bend = _polynomial(_derivative(_derivative(line)), root[:, None])[:, 0]
         rounding = np.spacing(np.abs(reference[:, 0]))
+        rounding += np.abs(rise / slope) * noise
         error = _SAFETY * off + np.abs(rise) * blur + 0.5 * np.abs(bend) * blur**2 + rounding
         value = reference[:, 0] + _polynomial(line, root[:, None])[:, 0]
     return root, blur, value, error, bend
