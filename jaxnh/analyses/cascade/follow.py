@@ -154,25 +154,28 @@ def _next_level(steps: _Steps, start: Start, known: list[_Level]) -> _Level | No
     """The next doubling beyond those known from a start."""
     n, sign = start.period << len(known), start.line.sign
     if n > _LONG and len(known) > 1:
-        points = [level.located.point for level in known]
-        gap = (points[-1].value - points[-2].value) / FEIGENBAUM
-        located = steps.long(points[-1], gap) if sign * (start.line.value[-1] - points[-1].value - gap) > 0 else None
-        if located is not None or n > 4 * _LONG:
-            return located and _Level(located, abs(gap))
+        level = _level_by_shooting(steps, start, known)
+        if level is not None or n > 4 * _LONG:
+            return level
     values = [level.located.point.value for level in known]
     for bracket in _brackets(steps, start, known, n):
         after = known[-1].located.point.value if known else -sign * np.inf
         located = steps.locate(bracket, n) if sign * (bracket.value[0] - after) > 0 else None
         if located is not None and sign * (located.point.value - after) > 0 and follows([*values, located.point.value]):
             return _Level(located, float(abs(bracket.value[1] - bracket.value[0])))
-    if len(known) > 1:  # where no orbit of its period is seen
-        points = [level.located.point for level in known]
-        gap = (points[-1].value - points[-2].value) / FEIGENBAUM
-        within = sign * (start.line.value[-1] - points[-1].value - gap) > 0
-        located = steps.long(points[-1], gap) if within else None
-        if located is not None and follows([*values, located.point.value]):
-            return _Level(located, abs(gap))
-    return None
+    return _level_by_shooting(steps, start, known) if len(known) > 1 else None  # where no orbit of its period is seen
+
+
+def _level_by_shooting(steps: _Steps, start: Start, known: list[_Level]) -> _Level | None:
+    """The next doubling by multiple shooting, where the last distance over δ puts it."""
+    values = [level.located.point.value for level in known]
+    gap = (values[-1] - values[-2]) / FEIGENBAUM
+    if start.line.sign * (start.line.value[-1] - values[-1] - gap) <= 0:
+        return None
+    located = steps.long(known[-1].located.point, gap)
+    if located is None or not follows([*values, located.point.value]):
+        return None
+    return _Level(located, abs(gap))
 
 
 def follows(values: Sequence[float]) -> bool:
