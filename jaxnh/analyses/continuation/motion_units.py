@@ -41,15 +41,23 @@ def sizes_in_motion(batch: LaneBatch, lanes: LaneRunner, survey: Survey) -> Floa
         rate = np.abs(lanes(_rates_over_period, (batch.system, _times(batch)), (u, dict(batch.p))))
         moved = np.max(rate.reshape(batch.count, len(_PHASES), -1), axis=1) * radian(batch)
         unit = np.max(extent(batch, lanes, batch.start), axis=0)
-        resting, sizes = np.all(moved <= _STILL * unit, axis=1), _by_spread(batch, sizes, moved)
+        resting = np.all(moved <= _STILL * unit, axis=1)
+        sizes = _by_spread(batch, sizes, _spread(np.where(settled[:, None], survey.u, np.nan), moved))
     else:
         unit = np.max(np.abs(points_at(batch, lanes, batch.start)), axis=0)
         resting = np.all(np.abs(u) <= _STILL * unit, axis=1)
     return np.where((survey.failed | (settled & resting))[:, None], np.nan, sizes)
 
 
+def _spread(u: Float[np.ndarray, "lanes d"], moved: Float[np.ndarray, "lanes d"]) -> Float[np.ndarray, " d"]:
+    """Return what coordinates change by: in a radian of the period, or from lane to lane; zero of no known lane."""
+    known = np.isfinite(u) & np.isfinite(moved)
+    low, high = (np.min(u, axis=0, initial=np.inf, where=known), np.max(u, axis=0, initial=-np.inf, where=known))
+    return np.maximum(np.max(moved, axis=0, initial=0.0, where=known), np.where(high > low, high - low, 0.0))
+
+
 def _by_spread(
-    batch: LaneBatch, modulus: Float[np.ndarray, "*some d"], spread: Float[np.ndarray, "*some d"]
+    batch: LaneBatch, modulus: Float[np.ndarray, "*some d"], spread: Float[np.ndarray, " d"]
 ) -> Float[np.ndarray, "*some d"]:
     """Return sizes by what coordinates change by, where that is far less than their modulus."""
     smaller = np.minimum(modulus, np.maximum(_SPREADS * spread, modulus / _FARTHEST))
