@@ -184,7 +184,7 @@ def grow_branches(
         still.append(equilibria(sample, lanes, options.equilibria, options.seed, options.box, ends, steps, stage))
         if isinstance(batch.system, Section):
             waves.append(cycles_at_hopf_points(still[0], families[0], batch.system))
-    tree, timed = None, None
+    tree = timed = evidence = None
     long = options.method == "auto" and _has_long_returns(batch, lanes, waves)
     if options.method != "collocation" and not long:
         tree = grow(families, waves, options.max_period, steps, stage)
@@ -194,7 +194,6 @@ def grow_branches(
     if tree is None or (options.method == "auto" and _needs_collocation(batch.flow, tree)):
         followed = grow_cycles(batch, lanes, waves, unit, options.max_period, ends, steps, stage)
         tree, timed = tree_of_cycles(batch, followed), durations(followed)
-    evidence = None
     if options.n_starts and timed is None:
         evidence = search_evidence(families[0], tree.branches, waves, options.n_starts * len(sampled))
     return [FollowedBranches(tree, families[0], batch, timed, evidence), *still]
