@@ -61,8 +61,8 @@ def two_slopes(n, random):
 @pytest.mark.parametrize("n", [64, 200])
 @pytest.mark.parametrize("boundary", [disc, straight, cantor, two_slopes])
 def test_errors_cover_the_exponent(boundary, n):
-    """In 95 of 100 planes: of 60, at least 52 with a probability of 99.5 % (binomial). A line through the logarithms is
-    too low by its bar, or twice that, in three of four planes of two slopes. Of the four distances of 64 starts three
+    """In 95 of 100 planes: of 60, at least 52 with a probability of 99.5 % (binomial). Of two slopes
+    bars of a line through the logarithms covered 10 and 40 of these 60. Of the four distances of 64 starts three
     parameters leave one degree of freedom, with a Student's t of 13."""
     random = np.random.default_rng(5)
     hits, errors = [], []
