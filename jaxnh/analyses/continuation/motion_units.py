@@ -24,8 +24,8 @@ _STILL = 1e-9  # of the extent of starts: what moves less in a radian of the per
 _PHASES = (0.0, 0.29, 0.61)  # shares of a period, at which no forcing with a symmetry vanishes twice
 _ESCAPED = 1e15  # times the extent of starts: larger motions that are no orbits are on their way to infinity
 _VANISHES = 1.001  # of the smallest size that a motion is given: what is no larger decays, or rests at zero
-_SPREADS = 10.0  # times what a coordinate changes by: far from zero it is no larger than that, and
-_FARTHEST = 30.0  # so many times smaller than its modulus at most: rounding is the modulus'
+_SPREADS = 10.0  # times what a coordinate changes by: its size where that is less than its modulus
+_FARTHEST = 30.0  # times less than its modulus, at most, as rounding is that of the modulus
 _LEAST = 0.01  # of the extent of starts: smaller motions that are no orbits are on their way to an equilibrium
 
 
