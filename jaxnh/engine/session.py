@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,6 +51,44 @@ if TYPE_CHECKING:
 
 ProgressCallback = Callable[[str, float, float], None]
 """(label, lane-periods done, lane-periods in all) of the stage in hand; an exception raised in it stops the call."""
+
+
+class _Calibrated(NamedTuple):
+    """A calibration of a session, with what it was made for.
+
+    Attributes:
+        axes: between whose ends it holds.
+        sectioned: whether it was of returns to a section, which are made of steps in time.
+        starts: analyses, with the options that decide them, whose random starts it has seen.
+        backward: whether it was for an analysis that follows motions back.
+        short: whether its sweep was too short to compare solvers.
+        plan: solver and steps that it found.
+    """
+
+    axes: tuple[Axis, ...]
+    sectioned: bool
+    starts: frozenset[str]
+    backward: bool
+    short: bool
+    plan: Plan
+
+    @classmethod
+    def of(cls, experiment: Experiment, axes: tuple[Axis, ...], requested: Requested, plan: Plan) -> _Calibrated:
+        """Return the record of a plan that was made for a sweep."""
+        starts, short = frozenset(start_samplers(requested)), is_short(experiment, axes, plan, requested)
+        return cls(axes, experiment.sectioned, starts, goes_back(requested), short, plan)
+
+    def serves(self, experiment: Experiment, axes: tuple[Axis, ...], requested: Requested) -> bool:
+        """Return whether a sweep may have this plan."""
+        if not (_lies_within(axes, self.axes) and self.sectioned >= experiment.sectioned):
+            return False
+        if not self.starts >= frozenset(start_samplers(requested)):
+            return False
+        if goes_back(requested) and not self.backward and isinstance(self.plan.solver, AdaptiveMethod):
+            return False  # steps that all lanes share may do, and go back in time
+        if self.short and not is_short(experiment, axes, self.plan, requested):
+            return False  # solvers were not compared, and a longer run is worth it
+        return self.plan.is_rehearsed(work_of(requested, experiment.sweep.lanes))  # a longer run meets more violence
 
 
 class Session:
@@ -98,7 +136,7 @@ class Session:
         self.experiment = self._base = experiment
         self._progress = as_progress(progress)
         self._lanes = LaneExecutor(self._progress, list(devices) if devices else devices_of(experiment))
-        self._plans: list[tuple[tuple[Axis, ...], bool, frozenset[str], bool, bool, Plan]] = []
+        self._calibrated: list[_Calibrated] = []
 
     def _repr_html_(self) -> str:
         """HTML for a notebook: its experiment, and what calibration has chosen so far; nothing is computed."""
@@ -121,7 +159,7 @@ class Session:
         chosen = [
             f"{plan.solver.name}, {plan.steps} steps {time}, error of one {turn} {plan.error_estimate:.1g}"
             f"{', relative to the size of the motion' if plan.sizes else ''}"
-            for *_, plan in self._plans
+            for plan in (known.plan for known in self._calibrated)
         ]
         return [experiment.title or experiment.label, f"a session over {axes}", *(chosen or ["not calibrated yet"])]
 
@@ -173,7 +211,7 @@ class Session:
             "longest_return": longest_return,
         }
         seen = copy.copy(self)
-        seen._plans = []
+        seen._calibrated = []
         seen.experiment = seen._base = self._base.on(section)
         return seen
 
@@ -271,22 +309,13 @@ class Session:
     def _plan_for(self, experiment: Experiment, axes: tuple[Axis, ...], find: Callable[..., Plan] = find_plan) -> Plan:
         """The plan of a sweep that has these lanes, made if there is none yet."""
         requested = experiment.requested()
-        drawn, back = frozenset(start_samplers(requested)), goes_back(requested)
-        for known, sectioned, starts, common, short, plan in self._plans:
-            # A return is made of steps in time.
-            if _lies_within(axes, known) and sectioned >= experiment.sectioned and starts >= drawn:
-                if back and not common and isinstance(plan.solver, AdaptiveMethod):
-                    continue  # steps that all lanes share may do, and go back in time
-                if short and not is_short(experiment, axes, plan, requested):
-                    continue  # solvers were not compared, and a longer run is worth it
-                if not plan.is_rehearsed(work_of(requested, experiment.sweep.lanes)):
-                    continue  # a longer run meets what is more violent
-                return plan
+        for known in self._calibrated:
+            if known.serves(experiment, axes, requested):
+                return known.plan
         if _lies_within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes
         plan = find(experiment, axes, self._lanes, requested)
-        short = is_short(experiment, axes, plan, requested)
-        self._plans.append((axes, experiment.sectioned, drawn, back, short, plan))
+        self._calibrated.append(_Calibrated.of(experiment, axes, requested, plan))
         return plan
 
     def _compute(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:
