@@ -734,10 +734,7 @@ KINDS = {
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {"
         + MU
         + "}\naccuracy: {solver: adaptive_tsit5, steps: 64}",
-        MOEBIUS
-        | dict.fromkeys(
-            ("reversal", "manifolds"), "the flow takes steps of a lane's own (adaptive_tsit5), which go forward alone"
-        ),
+        MOEBIUS,
         moebius.MOEBIUS,
     ),
     "a right-hand side with jumps": Kind(
@@ -746,9 +743,8 @@ KINDS = {
         | dict.fromkeys(
             ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)
         )
-        | {"reversal": "motions with jumps or switches are not followed backwards", "homoclinic": NOT_SMOOTH},
+        | {"homoclinic": NOT_SMOOTH},
         moebius.MOEBIUS_WITH_JUMPS,
-        UNSTABLE_ALONE,
     ),
     "a right-hand side with jumps on a section": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1, clock: 0.5}\nsweep: {"
@@ -763,8 +759,6 @@ KINDS = {
         | {
             "homoclinic": NOT_SMOOTH,
             "verdict": words("limit_cycle"),
-            "reversal": "motions with jumps or switches are not followed backwards",
-            "manifolds": "motions with jumps or switches are not followed backwards; stable manifolds need that",
         },
         moebius.MOEBIUS_WITH_JUMPS_IN_TIME,
     ),
@@ -847,8 +841,8 @@ KINDS = {
             "homoclinic": NOT_SMOOTH,
             "lyapunov": clamped_exponents,
             "covariant": words("regular", "undecided"),
-            "reversal": "motions with jumps or switches are not followed backwards",
-            "manifolds": "motions with jumps or switches are not followed backwards; stable manifolds need that",
+            "reversal": "motions that stick, rest or meet constraints, where several become one, have no way back",
+            "manifolds": "several become one, have no way back; stable manifolds need that",
         },
         constrained_oscillators.CLAMPED,
         starts_between("x", -0.5, 0.5),

@@ -223,7 +223,6 @@ class Analysis:
             that sample one, the largest count. `run` reads them from `LaneBatch.chosen`.
         starts: options to where its lanes start at random in place of the batch's start states: batch to their states
             and the number of the lane of each; None where they do not.
-        backward: options to whether it follows motions back in time, as steps that all lanes share do alone.
         count: dataset to the number of `trajectories`, and how many have `failed`, that a warning is made of.
         classes: dataset over the axes to whole numbers over them, which differ where the kind of motion does; without
             it all lanes are of one kind.
@@ -245,7 +244,6 @@ class Analysis:
     numbers: Callable[[Any], int] = lambda _: 64
     choose: Callable[[Any, LaneBatch, LaneRunner], Mapping[str, int]] | None = None
     starts: Callable[[Any], Starts | None] = lambda _: None
-    backward: Callable[[Any], bool] = lambda _: False
     count: Callable[[xr.Dataset], Mapping[str, int]] = lambda _: {}
     classes: Callable[[xr.Dataset], Int[np.ndarray, ...]] | None = None
     smooth: tuple[str, ...] = ()

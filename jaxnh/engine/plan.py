@@ -75,8 +75,7 @@ def calibrate(
         sampled = sum(count_of(row.start) for row in rows)  # random starts among them, more than the sweep has lanes
         tile = cost_model.lanes_a_tile(max(sampled, experiment.sweep.lanes, 2))  # of one lane too there are many states
         few = lanes.in_tiles(tile) if tile < lanes.tile else lanes  # whose programs analyses share
-        common = goes_back(requested)
-        return Calibration(rows, few, experiment.precision, target, asked.sizes, solver, common=common)
+        return Calibration(rows, few, experiment.precision, target, asked.sizes, solver)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
 
@@ -88,11 +87,6 @@ def start_samplers(requested: Requested) -> dict[str, Starts]:
         if (draw := analysis.starts(options)) is not None:
             starts[f"{analysis.name} {options.model_dump_json(include={'n_starts', 'seed', 'box'})}"] = draw
     return starts
-
-
-def goes_back(requested: Requested) -> bool:
-    """Return whether an analysis follows motions back in time."""
-    return any(analysis.backward(options) for analysis, options in requested)
 
 
 def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:

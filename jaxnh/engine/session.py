@@ -29,7 +29,6 @@ from jaxnh.engine.plan import (
     choose,
     find_or_keep_plan,
     find_plan,
-    goes_back,
     in_quickest_form,
     is_short,
     job_of,
@@ -44,7 +43,6 @@ from jaxnh.exceptions import InputError
 from jaxnh.jobs.arrays import import_beside
 from jaxnh.jobs.assembly import assemble
 from jaxnh.jobs.job import Job
-from jaxnh.solvers import AdaptiveMethod
 
 if TYPE_CHECKING:
     import xarray as xr  # imported where the first result is made: with pandas it takes a third of a second
@@ -60,7 +58,6 @@ class _Calibrated(NamedTuple):
         axes: between whose ends it holds.
         sectioned: whether it was of returns to a section, which are made of steps in time.
         starts: analyses, with the options that decide them, whose random starts it has seen.
-        backward: whether it was for an analysis that follows motions back.
         short: whether its sweep was too short to compare solvers.
         plan: solver and steps that it found.
     """
@@ -68,7 +65,6 @@ class _Calibrated(NamedTuple):
     axes: tuple[Axis, ...]
     sectioned: bool
     starts: frozenset[str]
-    backward: bool
     short: bool
     plan: Plan
 
@@ -76,7 +72,7 @@ class _Calibrated(NamedTuple):
     def of(cls, experiment: Experiment, axes: tuple[Axis, ...], requested: Requested, plan: Plan) -> _Calibrated:
         """Return the record of a plan that was made for a sweep."""
         starts, short = frozenset(start_samplers(requested)), is_short(experiment, axes, plan, requested)
-        return cls(axes, experiment.sectioned, starts, goes_back(requested), short, plan)
+        return cls(axes, experiment.sectioned, starts, short, plan)
 
     def serves(self, experiment: Experiment, axes: tuple[Axis, ...], requested: Requested) -> bool:
         """Return whether a sweep may have this plan."""
@@ -84,8 +80,6 @@ class _Calibrated(NamedTuple):
             return False
         if not self.starts >= frozenset(start_samplers(requested)):
             return False
-        if goes_back(requested) and not self.backward and isinstance(self.plan.solver, AdaptiveMethod):
-            return False  # steps that all lanes share may do, and go back in time
         if self.short and not is_short(experiment, axes, self.plan, requested):
             return False  # solvers were not compared, and a longer run is worth it
         return self.plan.is_rehearsed(work_of(requested, experiment.sweep.lanes))  # a longer run meets more violence

@@ -119,9 +119,10 @@ class AdaptiveStrobe(ReturnMap):
         system: the flow.
         solver: the pair.
         begin: time at the beginning.
-        length: of time.
+        length: of time, negative back in time.
         tolerance: error of a step, relative to the size of the motion.
         longest: longest step.
+        backward: whether it goes back in time.
     """
 
     system: Flow
@@ -130,11 +131,19 @@ class AdaptiveStrobe(ReturnMap):
     length: ArrayLike
     tolerance: ArrayLike
     longest: ArrayLike
+    backward: bool = eqx.field(static=True, default=False)
+
+    @property
+    def _duration(self) -> ArrayLike:
+        return -self.length if self.backward else self.length
+
+    def _instant(self, since: Any) -> Any:
+        return self.begin - since if self.backward else self.begin + since
 
     @property
     def trip_counts(self) -> tuple[float, ...]:
         """Steps of a calm motion, a stiff one has more; and those of the loop over stages, where there is one."""
-        steps = max(1.0, float(np.mean(_LONGEST * np.asarray(self.length) / np.asarray(self.longest))))
+        steps = max(1.0, float(np.mean(_LONGEST * np.asarray(self._duration) / np.asarray(self.longest))))
         rolls = first_of_stack(self, np.ndim(self.length))._rolls(0)
         return (steps, float(self.solver.stages)) if rolls else (steps,)
 
@@ -163,7 +172,7 @@ class AdaptiveStrobe(ReturnMap):
             end = self.begin + self.length
             moving = along.change(lambda z, p: restored(system, end, z, placed, p), moving)
         why = jnp.where(ended.trials < self._most_trials, NOT_FINITE, OUT_OF_STEPS)
-        arrived = masked(moving.state, ended.t >= self.length, why)
+        arrived = masked(moving.state, ended.t >= self._duration, why)
         each = unstacked_tangents(moving.tangents, len(tangents)) if along.stacked else moving.tangents
         pushed = tuple(Tangent(dz, t.p) for dz, t in zip(each, tangents, strict=True))
         return Pushforward(arrived, pushed, moving.log_volume if volume else zero)
@@ -171,7 +180,7 @@ class AdaptiveStrobe(ReturnMap):
     def trials(self, state: State, p: Parameters) -> Array:
         """Number of steps that the motion from a state tries, the most there may be where it does not come through."""
         _, ended = self._marched(Moving(state), self._along(p, ())[0])
-        return jnp.where(ended.t >= self.length, ended.trials, self._most_trials)
+        return jnp.where(ended.t >= self._duration, ended.trials, self._most_trials)
 
     def _along(self, p: Parameters, tangents: tuple[Tangent, ...]) -> tuple[_TangentTransport, Any]:
         """Return the transport of tangents, and the tangents."""
@@ -188,12 +197,13 @@ class AdaptiveStrobe(ReturnMap):
         system, reduction = self.system, self.system.reduction
         pair, how = self.solver.pair, {"along": along, "volume": start.log_volume is not None}
         step = self._implicit(pair, **how) if isinstance(pair, Rosenbrock) else self._explicit(pair, **how)
+        duration = self._duration
 
         def advance(course: _Progress) -> _Progress:
-            left = self.length - course.t
+            left = duration - course.t
             last = 1.01 * course.h >= left
             h = lax.stop_gradient(jnp.where(last, left, course.h))
-            ahead, error = step(self.begin + course.t, h, course.moving)
+            ahead, error = step(self._instant(course.t), -h if self.backward else h, course.moving)
             after = _components(ahead.state)
             size = [jnp.maximum(s, jnp.abs(x)) for s, x in zip(course.size, after, strict=True)]
             share = self._share_of_tolerance(_components(error), size, after)
@@ -201,7 +211,7 @@ class AdaptiveStrobe(ReturnMap):
             return _Progress(
                 jax.tree.map(lambda new, old: jnp.where(good, new, old), ahead, course.moving),
                 [jnp.where(good, new, old) for new, old in zip(size, course.size, strict=True)],
-                jnp.where(good, jnp.where(last, self.length, course.t + h), course.t),
+                jnp.where(good, jnp.where(last, duration, course.t + h), course.t),
                 jnp.minimum(h * self._change(share, course), self.longest),
                 jnp.where(good, share, course.before),
                 ~good,
@@ -209,8 +219,8 @@ class AdaptiveStrobe(ReturnMap):
             )
 
         def unfinished(course: _Progress) -> Array:
-            going = (course.h > _SHORTEST * self.length) & (course.trials < self._most_trials)
-            return (course.t < self.length) & going
+            going = (course.h > _SHORTEST * duration) & (course.trials < self._most_trials)
+            return (course.t < duration) & going
 
         first = jax.tree.leaves(start.state)[0]
         zero = jnp.zeros_like(first)
@@ -304,22 +314,29 @@ class AdaptiveStrobe(ReturnMap):
         fastest = _largest([jnp.abs(v) / jnp.maximum(s, floor) for s, v in zip(size, rate, strict=True)])
         h = jnp.asarray(self.tolerance) ** (1.0 / self.solver.convergence_order) / fastest
         # Of a velocity that begins at zero the size is not known yet, and what is taken for it may be far too small.
-        h = jnp.maximum(h, _FIRST * self.length)
+        h = jnp.maximum(h, _FIRST * self._duration)
         return lax.stop_gradient(jnp.where(h > 0.0, jnp.minimum(h, self.longest), self.longest))
 
 
-def adaptive_strobe(system: Flow, solver: AdaptiveMethod, steps: int, span: tuple[float, float]) -> AdaptiveStrobe:
+def adaptive_strobe(
+    system: Flow, solver: AdaptiveMethod, steps: int, span: tuple[float, float], *, backward: bool = False
+) -> AdaptiveStrobe:
     """The map over a span of time, as fine as so many steps of a calm period."""
     pair, tolerance, longest = _as_steps(system, solver, steps)
-    return AdaptiveStrobe(system, pair, span[0], span[1] - span[0], tolerance, longest)
+    return AdaptiveStrobe(system, pair, span[0], span[1] - span[0], tolerance, longest, backward)
 
 
 def adaptive_parts(system: Flow, solver: AdaptiveMethod, steps: int, ends: np.ndarray) -> AdaptiveStrobe:
-    """The maps from each of some times (parts + 1,) to the next, stacked, as fine as so many steps of a calm period."""
+    """The maps from each of some times (parts + 1,) to the next, stacked, as fine as so many steps of a calm period.
+
+    Times that fall are those of maps back in time.
+    """
     parts = (len(ends) - 1,)
     pair, tolerance, longest = _as_steps(system, solver, steps)
     shared = np.full(parts, tolerance), np.full(parts, longest)
-    return AdaptiveStrobe(stack_leaves(system, parts), pair, ends[:-1], np.diff(ends), *shared)
+    return AdaptiveStrobe(
+        stack_leaves(system, parts), pair, ends[:-1], np.diff(ends), *shared, bool(ends[-1] < ends[0])
+    )
 
 
 def _as_steps(system: Flow, solver: AdaptiveMethod, steps: int) -> tuple[AdaptiveMethod, float, float]:

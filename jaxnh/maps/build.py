@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Protocol
 
 import jax
@@ -39,6 +40,7 @@ from jaxnh.solvers import (
     tsitouras_papakostas8,
     verner9,
 )
+from jaxnh.systems.backward_motion import backward_motion, check_invertible
 from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.particle import IsokineticParticle
@@ -46,6 +48,7 @@ from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 _SMALLEST_TABLE = 8192  # rows of all parts: maps of most steps, and refined ones, run through one program
 _FEWEST_LOOKS, _STEPS_A_LOOK = 32, 8  # parts of a unit of time after which a crossing is looked for, and steps in them
+_OPPOSITE = {"up": "down", "down": "up", "both": "both"}
 _SMALLEST_STEP = 64  # kicks of a step: as many as any splitting has, so that all run through one program
 
 
@@ -206,6 +209,9 @@ def _split_grid(flow: Flow, each: int, parts: int) -> np.ndarray:
 
 def _map_on_grid(flow: Flow, solver: Any, grid: np.ndarray) -> ReturnMap:
     if isinstance(flow, PiecewiseSmooth):
+        begin, end = float(grid.flat[0]), float(grid.flat[-1])
+        if end < begin:
+            return jumping_strobe(backward_motion(flow, begin), _with_events(solver), begin - grid)
         return jumping_strobe(flow, _with_events(solver), grid)
     if isinstance(solver, Nystrom):
         return nystrom_strobe(flow, solver, grid)
@@ -271,17 +277,14 @@ def make_return_map(
     """
     if isinstance(system, DiscreteMap):
         return IterationStrobe(system)
-    if isinstance(solver, AdaptiveMethod):
-        return _adaptive(system, solver, steps, span)
     if isinstance(system, Section):
-        most = math.ceil(system.longest * steps)
-        if isinstance(system.flow, PiecewiseSmooth):
-            return JumpingSection(system, _with_events(solver), system.flow.period / steps, np.int32(most))
-        return EventStrobe(system, map_of_one_step(system.flow, solver), system.flow.period / steps, np.int32(most))
+        return section_strobe(system, solver, steps)
     t0, t1 = span or (0.0, system.period)
+    if isinstance(solver, AdaptiveMethod):
+        return adaptive_strobe(system, solver, steps, (t0, t1))
     if system.autonomous:
         steps = max(1, math.ceil(steps * (t1 - t0) / system.period - 1e-6))
-        return _equal_steps(system, solver, steps, t1 - t0)
+        return equal_steps(system, solver, steps, t1 - t0)
     steps = max(1, math.ceil(steps * share_of_steps(system, (t0, t1)) - 1e-6))
     return scheme_of(system, solver).strobe(system, solver, steps, (t0, t1), compensated=compensated)
 
@@ -302,7 +305,7 @@ def make_parts(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
     Every leaf has the parts as first axis. No step is longer than those of the whole period's map with `steps` steps.
     """
     if system.autonomous and not isinstance(solver, AdaptiveMethod):
-        return _equal_steps(system, solver, max(1, math.ceil(steps / parts - 1e-6)), system.period / parts, parts)
+        return equal_steps(system, solver, max(1, math.ceil(steps / parts - 1e-6)), system.period / parts, parts)
     return maps_between(system, solver, steps, np.linspace(0.0, system.period, parts + 1), compensated=compensated)
 
 
@@ -313,7 +316,7 @@ def maps_between(system: Flow, solver: Solver, steps: int, ends: np.ndarray, *, 
     if system.autonomous:
         lengths = np.diff(ends)
         each = max(1, math.ceil(steps * lengths.max() / system.period - 1e-6))
-        maps = [_equal_steps(system, solver, each, length) for length in lengths.tolist()]
+        maps = [equal_steps(system, solver, each, length) for length in lengths.tolist()]
         return jax.tree.map(lambda *leaves: np.stack(leaves), *maps)
     fine = step_grid(system, GRID_POINTS, (0.0, system.period))
     share = np.linspace(0.0, 1.0, GRID_POINTS + 1)
@@ -336,37 +339,32 @@ def cut_strobe(system: Flow, solver: Solver, steps: int, parts: int, *, compensa
         return adaptive_parts(system, solver, steps, step_grid(system, parts, (0.0, system.period)))
     each = -(-steps // parts)
     if system.autonomous:
-        return _equal_steps(system, solver, each, system.period / parts, parts)
+        return equal_steps(system, solver, each, system.period / parts, parts)
     return scheme_of(system, solver).cut(system, solver, each, parts, compensated=compensated)
 
 
-def backward_parts(
-    system: Flow, solver: Solver, steps: int, parts: int, begin: float, *, compensated: bool = False
-) -> ReturnMap:
-    """The maps back in time over a period from `begin`, in so many parts of equally many steps, stacked.
+def section_strobe(system: Section, solver: Solver, steps: int, *, backward: bool = False) -> ReturnMap:
+    """The map from crossing to crossing, or back to the one before; of so many steps in a unit of time.
+
+    By steps of a lane's own crossings are looked for at the ends of equal parts of the unit.
 
     Raises:
-        TypeError: the solver takes steps of a lane's own, which go forward alone.
+        TypeError: the solver is none for flows of this kind; or, back in time, as of `backward_parts`.
     """
+    flow = system.flow
+    looks = max(_FEWEST_LOOKS, steps // _STEPS_A_LOOK) if isinstance(solver, AdaptiveMethod) else steps
+    step, most = flow.period / looks, np.int32(math.ceil(system.longest * looks))
+    if backward:
+        check_invertible(flow)
+        system = replace(system, direction=_OPPOSITE[system.direction])
     if isinstance(solver, AdaptiveMethod):
-        raise TypeError(f"{solver.name} has no steps back in time")
-    each = -(-steps // parts)
-    if system.autonomous:
-        return _equal_steps(system, solver, each, -system.period / parts, parts)
-    ends = step_grid(system, each * parts, (begin, begin - system.period))
-    grid = ends[np.arange(parts)[:, None] * each + np.arange(each + 1)]
-    return scheme_of(system, solver).parts(system, solver, each, grid, ends[::each], compensated=compensated)
-
-
-def _adaptive(
-    system: Flow | Section, solver: AdaptiveMethod, steps: int, span: tuple[float, float] | None
-) -> ReturnMap:
-    """The map of a flow by steps of a lane's own; on a section crossings are looked for at the ends of equal parts."""
-    if not isinstance(system, Section):
-        return adaptive_strobe(system, solver, steps, span or (0.0, system.period))
-    parts = max(_FEWEST_LOOKS, steps // _STEPS_A_LOOK)
-    unit = adaptive_strobe(system.flow, solver, steps, (0.0, 1.0))
-    return EventStrobe(system, unit, system.flow.period / parts, np.int32(math.ceil(system.longest * parts)))
+        unit = adaptive_strobe(flow, solver, steps, (0.0, 1.0), backward=backward)
+    elif isinstance(flow, PiecewiseSmooth):
+        met = replace(system, flow=backward_motion(flow, 0.0)) if backward else system
+        return JumpingSection(met, _with_events(solver), step, most)
+    else:
+        unit = map_of_one_step(flow, solver)
+    return EventStrobe(system, unit, -step if backward else step, most, backward)
 
 
 def map_of_one_step(flow: Flow, solver: Solver) -> ReturnMap:
@@ -376,7 +374,7 @@ def map_of_one_step(flow: Flow, solver: Solver) -> ReturnMap:
     return scheme_of(flow, solver).step(flow, solver)
 
 
-def _equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> ReturnMap:
+def equal_steps(flow: Flow, solver: Solver, steps: int, length: float, parts: int = 0) -> ReturnMap:
     """Return a map of equal steps over a length of time, or `parts` such maps."""
     if isinstance(flow, PiecewiseSmooth):
         strobe = _map_on_grid(flow, solver, np.linspace(0.0, length, steps + 1))

@@ -167,6 +167,10 @@ class _Lane:
         )
         if self._system.constrained:
             reading = self._passage.read(t, self._passage.project(t, moving, side, begin=True), side)
+        rounding = (jnp.zeros_like(height[0]),) if self._system.many_surfaces else (zero,) * len(height)
+        if self._jumps and not self._system.arrives_at_ends:
+            after = self._begin_after_jump(reading, side, grid)
+            reading, side, rounding = self._passage.read(t, after.moving, after.side), after.side, after.rounding
         lost = ~_finite(reading.moving.state)
         if self._holding:
             reading, side, twice = self._begin_held(reading, side)
@@ -178,7 +182,7 @@ class _Lane:
             height=reading.height,
             rate=reading.rate,
             side=side,
-            rounding=(jnp.zeros_like(height[0]),) if self._system.many_surfaces else (zero,) * len(height),
+            rounding=rounding,
             stretch=zero + length,
             share=zero + 1.0,
             low=zero,
@@ -213,7 +217,8 @@ class _Lane:
         reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
         before = self._sides_of_heights(march.side)
         numbers, either, on_wall = self._numbers, self._either, self._on_wall(march, reading)
-        passages = passages_within(march, reading, h, before, numbers, either, seeking, finite, on_wall)
+        kept = -1.0 if self._system.arrives_at_ends else 1.0
+        passages = passages_within(march, reading, h, before, numbers, either, seeking, finite, on_wall, kept)
         seen, sought = passages.seen, march.sought
         pausing = ~seen & jnp.isfinite(passages.turn)
         fresh = seen | pausing  # a passage or a turn to go to
@@ -269,6 +274,17 @@ class _Lane:
         """Heights below which a motion that comes nearer has arrived with the end of a trial, of the last step."""
         last, grid = march.step == self.strobe.steps - 1, jnp.asarray(self.strobe.grid)
         return tuple(jnp.where(last, _near_wall(rate, grid), -1.0) for rate in reading.rate)
+
+    def _begin_after_jump(self, reading: Reading, sides: Heights, grid: Array) -> AfterEvent:
+        """A lane at the beginning, after the jumps of walls that it begins on."""
+        zero, length = jnp.zeros_like(reading.height[0]), grid[1] - grid[0]
+        after = AfterEvent(reading.moving, reading.height, reading.rate, sides, (zero,) * len(sides))
+        for k in range(self._jumps):
+            now = self._passage.read(reading.t, after.moving, after.side)
+            on = jnp.abs(now.height[k]) <= _near_wall(now.rate[k], grid)
+            arrival = Arrival(on, on, jnp.int32(k), after.side[k], length, length)
+            after = self._passage.after_event(now, after.side, after.rounding, arrival)
+        return after
 
     def _restore(self, t: Array, moving: Moving, side: Heights) -> Moving:
         """Bring what is held back to where it is held, and velocities to the constraints that act."""

@@ -116,6 +116,7 @@ def passages_within(
     seeking: Array,
     finite: Array,
     on_wall: Heights,
+    kept_side: float = -1.0,
 ) -> Passages:
     """Locate passages within what a trial of length h has gone over, and turns of heights near zero.
 
@@ -128,6 +129,7 @@ def passages_within(
         seeking: whether the trial is a whole step, in which passages are looked for.
         finite: whether the state at its end is.
         on_wall: height below which a motion that comes nearer arrives with the end of the trial.
+        kept_side: 1.0 where that is no passage, and −1.0 where it is.
     """
     kept = [
         jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
@@ -137,7 +139,7 @@ def passages_within(
         seeking & (s != 0.0) & (jnp.abs(x) <= near) & (rate * b < 0.0)
         for x, near, rate, b, s in zip(kept, on_wall, reading.rate, before, march.side, strict=True)
     ]
-    kept = [jnp.where(there, -1e-300 * b, x) for there, b, x in zip(arriving, before, kept, strict=True)]
+    kept = [jnp.where(there, kept_side * 1e-300 * b, x) for there, b, x in zip(arriving, before, kept, strict=True)]
     ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
     between = [crossing_between(e, side, either=both) for e, side, both in zip(ends, before, either, strict=True)]
     between = [

@@ -17,12 +17,14 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxnh.systems.definition import Definition, marked
+from jaxnh.systems.elimination import eliminate
 from jaxnh.systems.first_order import CoordinateChart, FirstOrder, PointReadout
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.readout import Output, status
 from jaxnh.systems.sliding import HeldMotion, free_motion, held_value, is_on, resting_motion, sliding_motion
 from jaxnh.systems.state import Number, Vector, error_components
 from jaxnh.systems.status import NOT_FINITE
+from jaxnh.systems.tracing import KnownValue, Program
 
 DIRECTIONS = ("up", "down", "both")
 """Directions in which a wall may be passed: its height rises through zero, falls, or either."""
@@ -96,6 +98,11 @@ class PiecewiseSmooth(FirstOrder):
         return False
 
     @property
+    def arrives_at_ends(self) -> bool:
+        """Return whether a jump at the end of a stretch of time is one of it, and one at its beginning is not."""
+        return True
+
+    @property
     def many_surfaces(self) -> bool:
         """Return whether surfaces are so many, and nothing else there, that steps treat their heights as one vector."""
         return self.switches >= _MANY and not (self.jumps or self.holding or self.constrained)
@@ -138,6 +145,40 @@ class PiecewiseSmooth(FirstOrder):
         """
         after = self.definition(p)["jumps"][number]["then"](tuple(y.y), t)
         return y._replace(y=tuple(jnp.asarray(x, jnp.float64) for x in after))
+
+    @property
+    def has_linear_jumps(self) -> bool:
+        """Return whether all jumps are linear in the state, so that it is known where motions came from."""
+        jumps = self.define(**self.values).get("jumps", ())
+        return all(_is_linear(jump["then"], len(self.names)) for jump in jumps)
+
+    def before_jump(
+        self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> PiecewisePoint:
+        """The state that a jump, which is linear, takes to another.
+
+        Args:
+            number, sides: as of `jumped`.
+        """
+
+        def left(z: Any) -> Any:
+            after = self.jumped(number, t, y._replace(y=tuple(z)), p, sides).y
+            return jnp.stack([x - goal for x, goal in zip(after, y.y, strict=True)])
+
+        z = jnp.stack(y.y)
+        slopes, off, n = jax.jacfwd(left)(z), left(z), len(y.y)
+        (step,), _ = eliminate([[slopes[i, j] for j in range(n)] for i in range(n)], [list(off)])
+        return y._replace(y=tuple(x - dx for x, dx in zip(y.y, step, strict=True)))
+
+    def heights_before_jumps(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...] | None = None
+    ) -> tuple[Number, ...]:
+        """Heights as of `heights`, above each wall that of the state from which its jump leads here."""
+        heights = self.heights(t, y, p, sides)
+        known = sides or tuple(jnp.where(height >= 0.0, 1.0, -1.0) for height in heights)
+        walls = range(len(self.jumps))
+        before = [self.heights(t, self.before_jump(k, t, y, p, known), p, sides)[k] for k in walls]
+        return *before, *heights[len(self.jumps) :]
 
     def constrain(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """The state after the constraints that hold on these sides have begun."""
@@ -300,6 +341,17 @@ def piecewise_smooth(
 def _leaps(jumps: int, leaps: Sequence[tuple[int, ...]]) -> tuple[tuple[int, ...], ...]:
     """The same by numbers of walls and surfaces."""
     return (*((),) * jumps, *(tuple(jumps + k for k in each) for each in leaps)) if leaps else ()
+
+
+def _is_linear(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: int) -> bool:
+    """Return whether a jump is linear in the state, which its slopes say."""
+
+    def slopes(y: Any, t: Any) -> Any:
+        return jax.jacfwd(lambda z: jnp.stack([jnp.asarray(x, jnp.float64) for x in then(tuple(z), t)]))(y)
+
+    program = Program(slopes, np.zeros(dimension), 0.0)
+    depends = program.depends([1, 0])
+    return all(isinstance(slot, KnownValue) or not depends[slot] for slot in program.outputs)
 
 
 def _forgets(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: int) -> bool:

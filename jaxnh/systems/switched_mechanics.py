@@ -179,8 +179,24 @@ class SwitchedMechanics(PiecewiseSmooth):
         jump, (q, v) = self.definition(p)["jumps"][number], self._split(t, y.y, p)
         if "then" in jump:
             return self._after_impulse(t, y, p, *jump["then"](q, v, t))
-        wall, r, equations = jump["when"], jump["restitution"], self._equations(p, sides)
-        return self._after_impulse(t, y, p, q, reflected_velocities(equations, wall, r, q, v, t, self._active(sides)))
+        return self._reflected(number, t, y, p, sides, lambda r: r)
+
+    @property
+    def has_linear_jumps(self) -> bool:
+        """Return whether all jumps are impacts, which are linear in the velocities."""
+        return all("restitution" in jump for jump in self.define(**self.values).get("jumps", ()))
+
+    def before_jump(
+        self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> PiecewisePoint:
+        """The state before an impact."""
+        return self._reflected(number, t, y, p, sides, lambda r: 1.0 / r)
+
+    def heights_before_jumps(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...] | None = None
+    ) -> tuple[Number, ...]:
+        """Heights, which an impact leaves as they are."""
+        return self.heights(t, y, p, sides)
 
     def constrain(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """The state after the constraints that hold on these sides have begun."""
@@ -208,6 +224,21 @@ class SwitchedMechanics(PiecewiseSmooth):
         if self.quasi and self.quasi.dependent:
             v = self.mechanics.all_velocities(t, Motion(q, v, ()), p)
         return q, v
+
+    def _reflected(
+        self,
+        number: int,
+        t: ArrayLike,
+        y: PiecewisePoint,
+        p: Parameters,
+        sides: tuple[Number, ...],
+        of: Callable[[Number], Number],
+    ) -> PiecewisePoint:
+        """The state after an impact, with a function of the restitution in place of it."""
+        jump, (q, v) = self.definition(p)["jumps"][number], self._split(t, y.y, p)
+        wall, equations = jump["when"], self._equations(p, sides)
+        reflected = reflected_velocities(equations, wall, of(jump["restitution"]), q, v, t, self._active(sides))
+        return self._after_impulse(t, y, p, q, reflected)
 
     def _after_impulse(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, *after: Any) -> PiecewisePoint:
         """The state of other coordinates and velocities; the kinetic energy that it has lost is added up."""

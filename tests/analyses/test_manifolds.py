@@ -114,6 +114,63 @@ def test_the_separatrix_of_a_pendulum_on_its_circle():
             assert sorted(signs) == [-1.0, 1.0]
 
 
+def straight_spring(bent=1.0):
+    """A saddle between springs, ẍ = x up to |x| = 1 and 2 sgn x − x beyond, by |x|."""
+
+    def rhs(y, t):
+        x, v = y
+        return v, x - 2.0 * bent * jnp.maximum(jnp.abs(x) - 1.0, 0.0) * jnp.where(x > 0.0, 1.0, -1.0)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 0.7}
+
+
+def between_walls(r=0.8):
+    """A saddle between walls (Shaw and Rand, Int. J. Non-Linear Mech. 24 (1989) 41), ẍ = x for |x| < 1."""
+
+    def bounce(y, t):
+        return y[0], -r * y[1]
+
+    walls = [{"when": lambda y, t: y[0] - 1.0, "then": bounce}]
+    walls.append({"when": lambda y, t: y[0] + 1.0, "direction": "down", "then": bounce})
+    return {"rhs": lambda y, t: (y[1], y[0]), "coordinates": ("x", "v"), "period": 0.7, "jumps": walls}
+
+
+def grown_from_zero(define, **lane):
+    """Points of both kinds of branches of the saddle at zero, (branches, points), by kind."""
+    options = jaxnh.Manifolds(
+        box={"x": (-0.5, 0.5), "v": (-0.5, 0.5)}, length=12.0, spacing=0.2, crossings=0, n_starts=4
+    )
+    data = jaxnh.Session(define, start={"x": 0.1, "v": 0.0}, target=1e-9).run(options, **lane)
+    here = data.isel(saddle=0, **dict.fromkeys(lane, 0))
+    kinds = jaxnh.labels(here["branch_kind"]).to_numpy()
+    np.testing.assert_allclose(
+        np.abs(here["multiplier"]), np.where(kinds == "unstable", np.exp(0.7), np.exp(-0.7)), rtol=1e-8
+    )
+    return {
+        kind: (here["x_points"].to_numpy()[kinds == kind], here["v_points"].to_numpy()[kinds == kind]) for kind in kinds
+    }
+
+
+def test_stable_manifolds_across_corners():
+    """Of a level of energy both kinds are, v² = x² up to the corners and 4 |x| − x² − 2 beyond."""
+    for kind, (x, v) in grown_from_zero(straight_spring, bent=[1.0]).items():
+        known = np.isfinite(x)
+        level = np.where(np.abs(x) < 1.0, x * x, 4.0 * np.abs(x) - x * x - 2.0)
+        assert np.abs(v * v - level)[known].max() < 1e-7, kind
+        assert np.nanmax(np.abs(x)) > 3.3, kind  # they turn at 2 + √2
+
+
+def test_stable_manifolds_between_walls():
+    """v² − x² is r^(2k) − 1 after k impacts, and r^(−2k) − 1 before them."""
+    for kind, (x, v) in grown_from_zero(between_walls, r=[0.8]).items():
+        known = np.isfinite(x)
+        levels = 0.8 ** ((2.0 if kind == "unstable" else -2.0) * np.arange(6)) - 1.0
+        gaps = np.abs((v * v - x * x)[known][:, None] - levels)
+        assert gaps.min(axis=1).max() < 1e-7, kind
+        assert {0, 1, 2} <= set(gaps.argmin(axis=1).tolist()), kind
+        assert np.abs(x[known]).max() <= 1.0 + 1e-12, kind
+
+
 def bent_saddle(grown=3.9, shrunk=0.92, a=0.2, b=0.3, c=0.1, x0=0.4, y0=-0.5):
     """(p, q) → (grown p, shrunk q) in coordinates x = x0 + p + a q² + c q³, y = y0 + q + b (x − x0)²."""
 

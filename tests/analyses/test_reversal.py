@@ -26,7 +26,6 @@ from jaxnh.systems.reversal import Reversal
 from tests.flows.constrained_oscillators import NEEDLE
 from tests.flows.paper_equations import at_speed
 from tests.helpers.batches import batch_of
-from tests.helpers.commands import run_here
 from tests.helpers.kept_calibrations import calibrating_by, unless_given
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
 from tests.helpers.paths import ROOT
@@ -68,16 +67,34 @@ def drag_that_averages_to_zero(drag=0.3, rate=0.7):
     return {"rhs": rhs, "coordinates": ("x", "v"), "period": TURN}
 
 
-def test_an_attractor_and_a_repeller_that_are_points():
-    """Distance two, in sizes of x, exponents −1 and −2, and those of the repeller 1 and 2."""
-    session = jaxnh.Session(pair_of_points, start={"x": 0.3, "y": 0.2}, target=1e-8)
+def steps_up_and_down(strength=0.3):
+    """The same with g = 1 ± strength, up in the quarters of a period about its ends, and a corner at x = 0 that R keeps."""
+
+    def rhs(y, t):
+        x, z = y
+        g = 1.0 + strength * jnp.sign(jnp.cos(t)) + 0.1 * jnp.abs(x)
+        return (1.0 - x * x) * g, -x * z * g
+
+    return {"rhs": rhs, "coordinates": ("x", "y"), "period": TURN}
+
+
+@pytest.mark.parametrize(("define", "rate"), [(pair_of_points, 1.0), (steps_up_and_down, 1.1)])
+def test_an_attractor_and_a_repeller_that_are_points(define, rate):
+    """Distance two, in sizes of x, exponents −1 and −2 in units of the mean of g there, and those of the repeller 1 and 2."""
+    session = jaxnh.Session(define, start={"x": 0.3, "y": 0.2}, target=1e-8)
     data = session.run(jaxnh.Reversal(transient=64, strobes=64, periods=64), strength=[0.0, 0.5])
+    check_pair(data, rate)
+
+
+def check_pair(data, rate):
     assert kinds(data) == ["dissipative"] * 2
     assert data.attrs["reversal"] == "x -> -x, t -> -t"
     np.testing.assert_array_less(np.abs(data["distance"] - 2.0), data["distance_error"])
-    np.testing.assert_array_less(np.abs(data["exponents"] - [-1.0, -2.0]), data["exponents_error"] + 1e-7)
-    np.testing.assert_array_less(np.abs(data["repeller_exponents"] - [1.0, 2.0]), data["repeller_exponents_error"])
-    np.testing.assert_array_less(np.abs(data["exponent_sum"] + 3.0), data["exponent_sum_error"])
+    np.testing.assert_array_less(np.abs(data["exponents"] - [-rate, -2.0 * rate]), data["exponents_error"] + 1e-7)
+    np.testing.assert_array_less(
+        np.abs(data["repeller_exponents"] - [rate, 2.0 * rate]), data["repeller_exponents_error"]
+    )
+    np.testing.assert_array_less(np.abs(data["exponent_sum"] + 3.0 * rate), data["exponent_sum_error"])
     assert not data["overlap"].to_numpy().any()
 
 
@@ -580,16 +597,24 @@ def binom_end(count, total):
     return brentq(lambda share: binom.sf(count - 1, total, share) - 0.025, 1e-6, 1.0 - 1e-6, xtol=1e-14)
 
 
-def test_steps_of_a_lanes_own_go_forward_alone(tmp_path):
-    (tmp_path / "own.py").write_text(
-        "import jax.numpy as jnp\n\n\ndef system(rate=0.5):\n"
-        "    return {'rhs': lambda y, t: (y[1], jnp.cos(t) - rate * y[0]), 'coordinates': ('x', 'v'), 'period': 2 * jnp.pi}\n"
-    )
-    (tmp_path / "own.yaml").write_text(
-        "system: {file: own.py}\ninitial: {x: 0.3}\nsweep: {rate: {values: [0.5]}}\n"
-        "accuracy: {target: 1.0e-3, solver: adaptive_tsit5}\nanalyses: {reversal: {transient: 8}}\n"
-    )
-    run = run_here("own.yaml", "--quiet", cwd=tmp_path)
-    assert run.returncode == 2
-    assert len(run.stderr.splitlines()) == 1
-    assert "steps of a lane's own (adaptive_tsit5), which go forward alone" in run.stderr
+PAIR_OF_POINTS = """\
+import jax.numpy as jnp
+
+
+def system(strength=0.3):
+    def rhs(y, t):
+        x, z = y
+        g = 1.0 + strength * jnp.cos(t)
+        return (1.0 - x * x) * g, -x * z * g
+
+    return {"rhs": rhs, "coordinates": ("x", "y"), "period": 2 * jnp.pi}
+"""
+
+
+def test_by_steps_of_a_lanes_own(tmp_path):
+    (tmp_path / "pair.py").write_text(PAIR_OF_POINTS)
+    content = {"system": {"file": str(tmp_path / "pair.py")}, "initial": {"x": 0.3, "y": 0.2}}
+    content |= {"sweep": {"strength": {"values": [0.0, 0.5]}}, "analyses": {"poincare": {}}}
+    content |= {"accuracy": {"target": 1e-8, "solver": "adaptive_tsitouras_papakostas8"}}
+    session = session_of(Experiment.from_dict(content))
+    check_pair(session.run(jaxnh.Reversal(transient=64, strobes=64, periods=64)), 1.0)

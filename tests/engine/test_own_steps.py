@@ -14,7 +14,7 @@ from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Section, begin
-from jaxnh.solvers import ADAPTIVE, SOLVERS, AdaptiveMethod
+from jaxnh.solvers import ADAPTIVE, SOLVERS
 from jaxnh.systems.first_order import first_order
 from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs
@@ -28,12 +28,12 @@ def lanes():
     return lanes_with_kept_programs(tile=8)
 
 
-def plan_of(define, start, rate, lanes, target=TARGET, solver=None, common=False):
+def plan_of(define, start, rate, lanes, target=TARGET, solver=None):
     """A flow of the parameter `rate`, and its plan for one lane."""
     flow = first_order(define, {"rate": rate}, ("rate",))
     state = flow.start({name: np.array([value]) for name, value in zip(flow.coordinates, start, strict=True)})
     p = {"rate": np.array([rate])}
-    calibration = Calibration([SweepPoints(flow, state, p, p)], lanes, target=target, solver=solver, common=common)
+    calibration = Calibration([SweepPoints(flow, state, p, p)], lanes, target=target, solver=solver)
     return flow, calibration.cheapest(target), calibration
 
 
@@ -84,14 +84,6 @@ def test_steps_of_a_lane_s_own_are_taken_where_they_are_fewer(lanes):
     exact.propagate_until(1.0)
     for name, z, known in zip("xy", image.y, exact.state, strict=True):
         assert abs(float(z) - known) < plan.error_estimate * plan.sizes[name]
-
-
-@pytest.mark.slow
-def test_motions_back_in_time_have_common_steps_where_these_do(lanes):
-    """However many they are: of the same flow, for an analysis that follows them back."""
-    _, plan, _ = plan_of(brusselator, (1.0, 21.0), 20.0, lanes, common=True)
-    assert not isinstance(plan.solver, AdaptiveMethod)
-    assert 0.0 < plan.error_estimate <= TARGET
 
 
 @pytest.mark.slow  # fast lanes beside slow ones, and this flow without a section, are quick

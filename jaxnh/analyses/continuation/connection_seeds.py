@@ -18,12 +18,12 @@ from jaxtyping import Float
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.section_points import states_at
 from jaxnh.exceptions import InputError
-from jaxnh.maps.build import backward_parts, make_return_map
+from jaxnh.maps.build import make_return_map
+from jaxnh.maps.inverse import backward_parts
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.collocation.equations import BoundarySolution, Problem
 from jaxnh.orbits.collocation.homoclinic import SaddlePoint, saddles_at
 from jaxnh.orbits.collocation.paths import path_through
-from jaxnh.solvers import AdaptiveMethod
 
 _SAME = 1e-6  # sizes: equilibria this near are one
 _BEGUN = 1e-3  # sizes: where manifolds begin, on the eigenvector
@@ -178,7 +178,7 @@ def _manifolds(shooting: Shooting, chains: list[Chain]) -> Iterator[Manifold]:
         first = next(iter(chain.saddles.values()))
         if len(first.unstable) == 1:
             yield from (Manifold(chain, False, sign) for sign in (1, -1))
-        elif len(first.stable) == 1 and not isinstance(shooting.batch.solver, AdaptiveMethod):
+        elif len(first.stable) == 1:
             yield from (Manifold(chain, True, sign) for sign in (1, -1))
 
 

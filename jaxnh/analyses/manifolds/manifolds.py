@@ -180,7 +180,6 @@ ANALYSIS = Analysis(
     periods,
     run,
     numbers=lambda options: 3 * options.saddles * 4 * options.period * options.max_points,  # of surfaces about as many
-    backward=lambda options: options.kind != "unstable",
     check=check,
     table=_table,
     price=price_of_orbits,

@@ -40,6 +40,8 @@ from jaxnh.systems.flow import Parameters
 ROUNDING = 16.0 * np.finfo(float).eps
 """Rounding of a derivative, relative to it: of the sums and quotients that it is made of."""
 
+_LEAST = 32.0  # 2ᵖ at order 5: what twice the steps change is so much more than what they leave
+
 SMALLEST_SHIFT = 2.0**-15
 """Shift of a parameter, in its size, by which it is asked whether the system exists nearby."""
 
@@ -102,7 +104,8 @@ def sensitivities(
 ) -> Sensitivities:
     """Derivatives of a number of each orbit in all parameters, by the map with twice the steps the accuracy asks for.
 
-    Their errors are those of the differences, and the distance to what the map with the steps themselves says.
+    Their errors are those of the differences, and the distance to what the map with the steps themselves says. That
+    vanishes at some parameters by chance: a share of the largest of a number is kept, in sizes of the parameters.
 
     Args:
         batch: lanes of one system, or of a family.
@@ -131,8 +134,9 @@ def sensitivities(
     names = names[len(kept) - second.shape[1] :]  # that of an implicit number is no function of its own parameter
     whole, errors = np.full((len(second), len(names)), np.nan), np.full((len(second), len(names)), np.nan)
     places = [place for place, name in enumerate(names) if name in kept]
-    rounding = ROUNDING * np.abs(second)
-    whole[:, places], errors[:, places] = second, error + np.abs(second - first) + rounding
+    change, scales = np.abs(second - first), np.array([scale_of(batch, name) for name in kept])[-second.shape[1] :]
+    least = np.max(change * scales, axis=1, initial=0.0, keepdims=True) / (_LEAST * scales)
+    whole[:, places], errors[:, places] = second, error + np.maximum(change, least) + ROUNDING * np.abs(second)
     return Sensitivities(names, whole, errors, absent)
 
 

@@ -20,8 +20,8 @@ from jaxnh.analyses.exponents.tangent_growth import average, begin
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.smooth_window import DEGREE
-from jaxnh.maps.build import backward_parts
 from jaxnh.maps.family import Maps
+from jaxnh.maps.inverse import backward_parts
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.state import State
 

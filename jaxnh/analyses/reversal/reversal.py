@@ -61,8 +61,7 @@ from jaxnh.maps.iterate import iterate
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
 from jaxnh.maps.single_precision import in_precision
-from jaxnh.solvers import AdaptiveMethod
-from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.backward_motion import check_invertible
 from jaxnh.systems.readout import status
 from jaxnh.systems.reversal import declared_reversal, describe_reversal
 
@@ -96,8 +95,10 @@ def check(options: ReversalOptions, setting: Setting) -> None:
     """
     if not setting.flow.continuous:
         raise OptionError("a map is not followed backwards; a reversal is one of a flow")
-    if isinstance(setting.flow, PiecewiseSmooth):
-        raise OptionError("motions with jumps or switches are not followed backwards")
+    try:
+        check_invertible(setting.flow)
+    except TypeError as error:
+        raise OptionError(str(error)) from None
     declared_reversal(setting.flow)
     if options.max_period and len(setting.axes) > 1:
         raise OptionError("symmetric orbits are looked for along one axis of a sweep", "max_period")
@@ -112,8 +113,6 @@ def choose(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> dic
     Raises:
         OptionError: the flow has no reversal.
     """
-    if isinstance(batch.solver, AdaptiveMethod):
-        raise OptionError(f"the flow takes steps of a lane's own ({batch.solver.name}), which go forward alone")
     reversal = choose_reversal(batch)
     reversal_of(batch, reversal)  # where there is none, nothing is compiled to say so
     return {"reversal": reversal, **lyapunov.choose(_of_exponents(options, batch), batch, lanes)}
@@ -304,7 +303,6 @@ ANALYSIS = Analysis(
     run,
     independent=lambda options: not options.max_period,
     choose=choose,
-    backward=lambda _: True,
     classes=kind_of_lanes,
     check=check,
     table=table,

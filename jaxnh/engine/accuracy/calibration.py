@@ -108,8 +108,6 @@ class Calibration:
         target: float | None = None,
         sizes: Mapping[str, float] | None = None,
         solver: Solver | None = None,
-        *,
-        common: bool = False,
     ) -> None:
         """Measure the reference.
 
@@ -118,7 +116,6 @@ class Calibration:
             target: the only one that will be asked for: the reference is then refined as far as it needs.
             sizes: of the motion, by coordinate, in place of those measured.
             solver: the only one that will be asked for.
-            common: whether steps that all lanes share are taken wherever these do.
 
         Raises:
             AccuracyError: no lane has a period that can be computed.
@@ -131,7 +128,7 @@ class Calibration:
         try:
             self._measure(maps)
         except TooDearError as dear:
-            ways = [False] if dear.stiff else [] if common else [True, False]
+            ways = [False] if dear.stiff else [True, False]
             own = any(self._take_own_steps(maps, explicit=way, kicks=dear.kicks) for way in ways)
             if not own or self.floor > self._target:
                 self._measure_at_any_price(maps)

@@ -1,0 +1,116 @@
+"""Piecewise smooth motions back in time: ẏ = −f(y, t₀ − t), its walls and surfaces those of f.
+
+Steps that end at events meet them on the way back as well. At a wall that the flow has come to, a jump is undone; where
+the flow passes it the other way, nothing is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxnh.systems.chart import Chart
+from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
+from jaxnh.systems.state import Number
+
+
+class BackwardMotion(PiecewiseSmooth):
+    """A flow back in time; made by `backward_motion`.
+
+    Attributes:
+        forward: the flow.
+        instant: time t₀ of the flow at which this begins.
+    """
+
+    forward: PiecewiseSmooth
+    instant: ArrayLike
+
+    def with_parameters(self, values: Parameters) -> BackwardMotion:
+        """Return the motion with other values of some of the flow's own parameters."""
+        return dataclasses.replace(self, values={**self.values, **values}, forward=self.forward.with_parameters(values))
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates of a start state."""
+        return self.forward.coordinates
+
+    @property
+    def exponents(self) -> int:
+        """Number of Lyapunov exponents."""
+        return self.forward.exponents
+
+    @property
+    def chart(self) -> Chart:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Section coordinates of the flow."""
+        return self.forward.chart
+
+    @property
+    def many_surfaces(self) -> bool:
+        """Return whether steps treat heights as one vector."""
+        return self.forward.many_surfaces
+
+    @property
+    def constrained(self) -> bool:
+        """Return whether states are brought back to constraints after each step."""
+        return self.forward.constrained
+
+    def heights(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...] | None = None
+    ) -> tuple[Number, ...]:
+        """Heights above the surfaces, and above the walls of the states before jumps."""
+        return self.forward.heights_before_jumps(self.instant - t, y, p, sides)
+
+    def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
+        """Time derivative of a state by a branch of the field."""
+        return jax.tree.map(lambda rate: -rate, self.forward.branch(self.instant - t, y, p, sides))
+
+    def on_constraints(
+        self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> PiecewisePoint:
+        """The state brought back to the constraints."""
+        return self.forward.on_constraints(self.instant - t, y, p, sides)
+
+    @property
+    def arrives_at_ends(self) -> bool:
+        """Return false: a jump at the end of the stretch forward, where this begins, is undone, and no other."""
+        return False
+
+    def jumped(
+        self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
+    ) -> PiecewisePoint:
+        """The state before a jump of the flow; as it is where the flow passes the wall the way that is no jump."""
+        now = self.instant - t
+        before = self.forward.before_jump(number, now, y, p, sides)
+        if self.forward.jumps[number] == "both":
+            return before
+        moving = self.forward.rhs(now, before, p)
+        _, rate = jax.jvp(
+            lambda z, t: self.forward.heights(t, z, p)[number], (before, now), (moving, jnp.ones_like(now))
+        )
+        return jax.tree.map(lambda b, x: jnp.where(rate > 0.0, b, x), before, y)
+
+
+def backward_motion(flow: PiecewiseSmooth, instant: float) -> BackwardMotion:
+    """The motions of a flow, which is invertible, back in time from an instant of its clock on."""
+    parts: dict[str, Any] = {field.name: getattr(flow, field.name) for field in dataclasses.fields(PiecewiseSmooth)}
+    return BackwardMotion(**{**parts, "jumps": ("both",) * len(flow.jumps)}, forward=flow, instant=instant)
+
+
+def check_invertible(flow: Flow) -> None:
+    """Check that motions are known to come from one state each.
+
+    Raises:
+        TypeError: different ones become one where they stick, rest or meet a constraint, or where a jump came from is
+            not known.
+    """
+    if not isinstance(flow, PiecewiseSmooth):
+        return
+    if flow.loses_rank:
+        raise TypeError("motions that stick, rest or meet constraints, where several become one, have no way back")
+    if not flow.has_linear_jumps:
+        raise TypeError("of a jump that is not linear in the state it is not known where it came from")

@@ -1,0 +1,195 @@
+"""Inverses of return maps: they undo the map, and its derivative, of all kinds of steps; and what has none."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnh.engine.from_python import experiment_of
+from jaxnh.maps.build import make_return_map
+from jaxnh.maps.inverse import backward_parts, make_inverse_map
+from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.section import Section
+from jaxnh.solvers import SOLVERS
+from tests.flows.piecewise_circuits import CIRCUITS
+
+pytestmark = pytest.mark.usefixtures("quick_compiling")
+
+TURN = 2 * np.pi
+CLOSE = 1e-9
+
+
+def square_wave():
+    """A pendulum with damping that is pushed one way for half of a period and the other way for the rest."""
+
+    def rhs(y, t):
+        push = jnp.where(jnp.sin(t) > 0.0, 0.4, -0.4)
+        return y[1], -jnp.sin(y[0]) - 0.1 * y[1] + push
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": TURN}
+
+
+def straight_pieces():
+    """An oscillator whose spring is stiffer on one side, driven."""
+
+    def rhs(y, t):
+        return y[1], -y[0] - 2.0 * jnp.maximum(y[0] - 0.1, 0.0) - 0.1 * y[1] + jnp.cos(t)
+
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": TURN}
+
+
+def skate_with_corners():
+    """A knife edge on a plane that is bent: x' sin θ = y' cos θ, with a force that has a corner; it turns evenly."""
+
+    def T(q, v, t):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+
+    def Q(q, v, t):
+        return -jnp.abs(q[0] - 0.2), 0.3 * jnp.cos(t), 0.0 * q[0]
+
+    def f(q, v, t):
+        return (v[0] * jnp.sin(q[2]) - v[1] * jnp.cos(q[2]),)
+
+    return {"T": T, "Q": Q, "f": f, "coordinates": ("x", "y", "theta"), "angles": ("theta",), "period": 1.0}
+
+
+def spikes():
+    """The Brusselator, whose spikes have rates of thousands."""
+
+    def rhs(y, t):
+        x, z = y
+        return 1.0 - 9.0 * x + x * x * z, 8.0 * x - x * x * z
+
+    return {"rhs": rhs, "coordinates": ("x", "z")}
+
+
+def stiff_drive():
+    """Of rates 1 and 30, driven."""
+
+    def rhs(y, t):
+        return y[1] + 0.3 * jnp.cos(t), -30.0 * (y[1] - jnp.sin(y[0]))
+
+    return {"rhs": rhs, "coordinates": ("x", "z"), "period": 1.0}
+
+
+def flow_of(define, **start):
+    return experiment_of(define, start, 1e-9, None).flow()
+
+
+def chua_on_section():
+    flow = flow_of(lambda: CIRCUITS["chua"].define(), x=0.1)
+    return Section(flow, "y", 1, 0.05, "up")
+
+
+CASES = {
+    "a square wave": (lambda: flow_of(square_wave, x=0.1), "tsitouras_papakostas8", 200, [0.4, -0.2]),
+    "straight pieces": (lambda: flow_of(straight_pieces, x=0.1), "tsitouras_papakostas8", 200, [0.4, -0.2]),
+    "Chua's circuit on a section": (chua_on_section, "tsitouras_papakostas8", 60, None),
+    "spikes, explicit steps": (
+        lambda: flow_of(spikes, x=0.1), "adaptive_tsitouras_papakostas8", 3000, [1.2, 5.0],
+    ),
+    "stiff, implicit steps": (lambda: flow_of(stiff_drive, x=0.1), "rodas5p", 20000, [0.4, 0.2]),
+    "spikes on a section": (
+        lambda: Section(flow_of(spikes, x=0.1), "x", 0, 1.0, "up"), "adaptive_tsitouras_papakostas8", 3000, None,
+    ),
+}  # fmt: skip
+
+
+def impacts():
+    """An oscillator that strikes a table that moves, and is kicked at the end of each period."""
+
+    def rhs(y, t):
+        return y[1], jnp.cos(1.3 * TURN * t) - 20.0 * y[0]
+
+    def bounce(y, t):
+        speed = 0.1 * TURN * jnp.cos(TURN * t)
+        return y[0], speed - 0.8 * (y[1] - speed)
+
+    wall = {"when": lambda y, t: y[0] - 0.1 * jnp.sin(TURN * t), "then": bounce}
+    kick = {"when": lambda y, t: jnp.sin(TURN * t), "then": lambda y, t: (y[0], y[1] - 0.7)}
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 1.0, "jumps": [wall, kick]}
+
+
+def skate_that_rebounds():
+    """The skate, in front of a wall."""
+    made = skate_with_corners()
+    return {**made, "jumps": [{"when": lambda q, v, t: q[0] - 0.3, "restitution": 0.6}]}
+
+
+def clock_set_back():
+    """A clock that is a coordinate, and begins anew."""
+
+    def rhs(y, t):
+        return -0.3 * y[0] + jnp.cos(y[1]), 1.0
+
+    again = {"when": lambda y, t: y[1] - TURN, "then": lambda y, t: (y[0], y[1] - TURN)}
+    return {"rhs": rhs, "coordinates": ("x", "clock"), "jumps": [again]}
+
+
+CASES |= {
+    "impacts and kicks": (lambda: flow_of(impacts, x=-0.1), "tsitouras_papakostas8", 60, [-0.2, 0.9]),
+    "a clock that is set back": (
+        lambda: Section(flow_of(clock_set_back, x=0.1), "clock", 1, 1.0, "up"), "tsitouras_papakostas8", 20, [0.4],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_inverses_undo_maps_and_their_derivatives(case):
+    make, solver, steps, u = CASES[case]
+    system = make()
+    ahead, back = (each(system, SOLVERS[solver], steps) for each in (make_return_map, make_inverse_map))
+    once = jax.jit(lambda strobe, u: derivatives(strobe, 1, u, {}))
+    u = jnp.array(u if u is not None else on_section(system, ahead))
+    there = once(ahead, u)
+    again = once(back, there.image)
+    size = np.maximum(np.abs(u), np.abs(there.image))
+    assert np.abs(again.image - u).max() < CLOSE * size.max() * np.abs(again.monodromy).max()
+    product = again.monodromy @ there.monodromy
+    assert np.abs(product - np.eye(len(u))).max() < 1e-6 * np.abs(again.monodromy).max() * np.abs(there.monodromy).max()
+    assert np.abs(there.image - u).max() > 0.01
+
+
+def on_section(section, strobe):
+    """The point of the second crossing."""
+    state = jax.tree.map(
+        jnp.asarray, section.chart.state(jnp.array([0.3, -0.1] if section.flow.exponents == 3 else [3.0]))
+    )
+    return section.chart.point(jax.jit(lambda z: strobe.iterate(2, z, {}))(state))
+
+
+@pytest.mark.parametrize("define", [skate_with_corners, skate_that_rebounds])
+def test_parts_back_in_time_undo_the_map_of_mechanics(define):
+    """Part by part from the end of the period; constraints are kept as well."""
+    flow = flow_of(define, x=0.1)
+    state = flow.start({"x": 0.1, "y": 0.0, "theta": 0.3, "x_dot": 0.9, "y_dot": 0.9 * np.tan(0.3), "theta_dot": 1.0})
+    state = jax.tree.map(jnp.asarray, state)
+    strobe = make_return_map(flow, SOLVERS["tsitouras_papakostas8"], 60)
+    parts = backward_parts(flow, SOLVERS["tsitouras_papakostas8"], 60, 4, flow.period)
+    there = jax.jit(lambda z: strobe(z, {}))(state)
+    back = jax.jit(lambda z: jax.lax.scan(lambda y, part: (part(y, {}), None), z, parts)[0])(there)
+    assert np.abs(np.array(back.y) - np.array(state.y)).max() < CLOSE
+    assert np.abs(np.array(there.y) - np.array(state.y)).max() > 0.1
+
+
+def bouncing(then, **more):
+    def rhs(y, t):
+        return y[1], -1.0
+
+    wall = {"when": lambda y, t: -y[0], "then": then, **more}
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 1.0, "jumps": [wall]}
+
+
+@pytest.mark.parametrize(
+    ("define", "words"),
+    [
+        (lambda: bouncing(lambda y, t: (y[0], -0.8 * y[1]), rest=True), "stick, rest or meet constraints"),
+        (lambda: bouncing(lambda y, t: (y[0], 1.0)), "stick, rest or meet constraints"),
+        (lambda: bouncing(lambda y, t: (y[0], -0.8 * y[1] * jnp.abs(y[1]))), "not linear in the state"),
+    ],
+)
+def test_what_has_no_inverse(define, words):
+    with pytest.raises(TypeError, match=words):
+        make_inverse_map(flow_of(define, x=1.0), SOLVERS["tsit5"], 10)
