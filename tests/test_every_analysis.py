@@ -737,6 +737,13 @@ KINDS = {
         MOEBIUS,
         moebius.MOEBIUS,
     ),
+    "a right-hand side with a corner": Kind(
+        "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS,
+        MOEBIUS
+        | dict.fromkeys(("portrait", "poincare", "diagram"), follows(moebius.moebius_with_a_corner, ("u", "v")))
+        | {"homoclinic": NOT_SMOOTH},
+        moebius.MOEBIUS_WITH_A_CORNER,
+    ),
     "a right-hand side with jumps": Kind(
         "system: {file: FILE}\ninitial: {u: 0.3, v: 0.1}\nsweep: {" + MU + "}\n" + STEPS,
         MOEBIUS

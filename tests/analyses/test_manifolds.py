@@ -115,30 +115,36 @@ def test_the_separatrix_of_a_pendulum_on_its_circle():
 
 
 def straight_spring(bent=1.0):
-    """A saddle between springs, ẍ = x up to |x| = 1 and 2 sgn x − x beyond, by |x|."""
+    """A saddle between springs, ẍ = x up to |x| = 1 and 2 sgn x − x beyond, by |x|; time runs unevenly, for a clock."""
 
     def rhs(y, t):
         x, v = y
-        return v, x - 2.0 * bent * jnp.maximum(jnp.abs(x) - 1.0, 0.0) * jnp.where(x > 0.0, 1.0, -1.0)
+        rate = 1.0 + 0.3 * jnp.cos(2 * jnp.pi * t / 0.7)
+        force = x - 2.0 * bent * jnp.maximum(jnp.abs(x) - 1.0, 0.0) * jnp.where(x > 0.0, 1.0, -1.0)
+        return rate * v, rate * force
 
     return {"rhs": rhs, "coordinates": ("x", "v"), "period": 0.7}
 
 
 def between_walls(r=0.8):
-    """A saddle between walls (Shaw and Rand, Int. J. Non-Linear Mech. 24 (1989) 41), ẍ = x for |x| < 1."""
+    """A saddle between walls (Shaw and Rand, Int. J. Non-Linear Mech. 24 (1989) 41), ẍ = x for |x| < 1; time likewise."""
+
+    def rhs(y, t):
+        rate = 1.0 + 0.3 * jnp.cos(2 * jnp.pi * t / 0.7)
+        return rate * y[1], rate * y[0]
 
     def bounce(y, t):
         return y[0], -r * y[1]
 
     walls = [{"when": lambda y, t: y[0] - 1.0, "then": bounce}]
     walls.append({"when": lambda y, t: y[0] + 1.0, "direction": "down", "then": bounce})
-    return {"rhs": lambda y, t: (y[1], y[0]), "coordinates": ("x", "v"), "period": 0.7, "jumps": walls}
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 0.7, "jumps": walls}
 
 
 def grown_from_zero(define, **lane):
     """Points of both kinds of branches of the saddle at zero, (branches, points), by kind."""
     options = jaxnh.Manifolds(
-        box={"x": (-0.5, 0.5), "v": (-0.5, 0.5)}, length=12.0, spacing=0.2, crossings=0, n_starts=4
+        box={"x": (-0.5, 0.5), "v": (-0.5, 0.5)}, length=24.0, spacing=0.2, crossings=0, n_starts=4
     )
     data = jaxnh.Session(define, start={"x": 0.1, "v": 0.0}, target=1e-9).run(options, **lane)
     here = data.isel(saddle=0, **dict.fromkeys(lane, 0))

@@ -4,7 +4,7 @@ In its frame ξ' = (μ − ν − ξ²) ξ and η' = −η. A period's map has t
 fixed point 0 with multipliers −exp(2π(μ − ν)) and −exp(−2π), which doubles at μ = ν; beyond, ξ = ±√(μ − ν) is an orbit of
 period 2 with exponents −2(μ − ν) and −1. In space it is the same about the circle r = 1. In its frame the half turn is a
 jump (ξ, η) → −(ξ, η) a period, which may come at any ξ², as the motion between does not change with it. Its clock may be
-a coordinate that another jump sets back.
+a coordinate that another jump sets back. In u + 0.1 |v − 0.02| in place of u it has a corner.
 """
 
 from __future__ import annotations
@@ -25,6 +25,22 @@ def system(mu=0.1, nu=0.0, omega=1.0):
         return omega * (c * d - s * e - v / 2), omega * (s * d + c * e + u / 2)
 
     return {"rhs": rhs, "coordinates": ("u", "v"), "period": 2 * jnp.pi / omega}
+"""
+
+MOEBIUS_WITH_A_CORNER = """\
+import jax.numpy as jnp
+
+def system(mu=0.1, nu=0.0):
+    def rhs(y, t):
+        x, v = y
+        u = x - 0.1 * jnp.abs(v - 0.02)
+        c, s = jnp.cos(t / 2), jnp.sin(t / 2)
+        xi, eta = c * u + s * v, c * v - s * u
+        d, e = (mu - nu - xi**2) * xi, -eta
+        u_rate, v_rate = c * d - s * e - v / 2, s * d + c * e + u / 2
+        return u_rate + 0.1 * jnp.where(v > 0.02, v_rate, -v_rate), v_rate
+
+    return {"rhs": rhs, "coordinates": ("u", "v"), "period": 2 * jnp.pi}
 """
 
 MOEBIUS_IN_SPACE = """\
@@ -91,6 +107,13 @@ def moebius(t, y, mu=0.1, nu=0.0, omega=1.0):
     rate = (mu - nu - zeta.real**2) * zeta.real - 1j * zeta.imag + 0.5j * zeta
     w = omega * rate * turn
     return np.array([w.real, w.imag])
+
+
+def moebius_with_a_corner(t, y, mu=0.1, nu=0.0):
+    """Rates of (u + 0.1 |v − 0.02|, v)."""
+    above = np.sign(y[1] - 0.02)
+    u, v = moebius(t, [y[0] - 0.1 * above * (y[1] - 0.02), y[1]], mu, nu)
+    return np.array([u + 0.1 * above * v, v])
 
 
 def moebius_in_space(t, y, mu=0.1, nu=0.0):

@@ -13,6 +13,8 @@ from jaxnh.maps.inverse import backward_parts, make_inverse_map
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.section import Section
 from jaxnh.solvers import SOLVERS
+from jaxnh.systems.corners import with_switches
+from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.piecewise_circuits import CIRCUITS
 
 pytestmark = pytest.mark.usefixtures("quick_compiling")
@@ -47,7 +49,7 @@ def skate_with_corners():
         return 0.5 * (v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
 
     def Q(q, v, t):
-        return -jnp.abs(q[0] - 0.2), 0.3 * jnp.cos(t), 0.0 * q[0]
+        return -jnp.abs(q[0] - 0.2), 0.3 * jnp.cos(TURN * t), 0.0 * q[0]
 
     def f(q, v, t):
         return (v[0] * jnp.sin(q[2]) - v[1] * jnp.cos(q[2]),)
@@ -66,12 +68,19 @@ def spikes():
 
 
 def stiff_drive():
-    """Of rates 1 and 30, driven."""
+    """Of rates 1 and 9, driven."""
 
     def rhs(y, t):
-        return y[1] + 0.3 * jnp.cos(t), -30.0 * (y[1] - jnp.sin(y[0]))
+        return y[1] + 0.3 * jnp.cos(TURN * t), -9.0 * (y[1] - jnp.sin(y[0]))
 
     return {"rhs": rhs, "coordinates": ("x", "z"), "period": 1.0}
+
+
+def van_der_pol():
+    def rhs(y, t):
+        return y[1], 0.5 * (1.0 - y[0] ** 2) * y[1] - y[0]
+
+    return {"rhs": rhs, "coordinates": ("x", "v")}
 
 
 def flow_of(define, **start):
@@ -79,7 +88,7 @@ def flow_of(define, **start):
 
 
 def chua_on_section():
-    flow = flow_of(lambda: CIRCUITS["chua"].define(), x=0.1)
+    flow = piecewise_smooth(with_switches(CIRCUITS["chua"].define, {"scale": 1.0}), {"scale": 1.0})
     return Section(flow, "y", 1, 0.05, "up")
 
 
@@ -91,8 +100,8 @@ CASES = {
         lambda: flow_of(spikes, x=0.1), "adaptive_tsitouras_papakostas8", 3000, [1.2, 5.0],
     ),
     "stiff, implicit steps": (lambda: flow_of(stiff_drive, x=0.1), "rodas5p", 20000, [0.4, 0.2]),
-    "spikes on a section": (
-        lambda: Section(flow_of(spikes, x=0.1), "x", 0, 1.0, "up"), "adaptive_tsitouras_papakostas8", 3000, None,
+    "on a section, steps of a lane's own": (
+        lambda: Section(flow_of(van_der_pol, x=0.1), "x", 0, 0.0, "up"), "adaptive_tsitouras_papakostas8", 100, None,
     ),
 }  # fmt: skip
 
@@ -101,7 +110,7 @@ def impacts():
     """An oscillator that strikes a table that moves, and is kicked at the end of each period."""
 
     def rhs(y, t):
-        return y[1], jnp.cos(1.3 * TURN * t) - 20.0 * y[0]
+        return y[1], jnp.cos(2.0 * TURN * t) - 20.0 * y[0]
 
     def bounce(y, t):
         speed = 0.1 * TURN * jnp.cos(TURN * t)
@@ -149,13 +158,13 @@ def test_inverses_undo_maps_and_their_derivatives(case):
     assert np.abs(again.image - u).max() < CLOSE * size.max() * np.abs(again.monodromy).max()
     product = again.monodromy @ there.monodromy
     assert np.abs(product - np.eye(len(u))).max() < 1e-6 * np.abs(again.monodromy).max() * np.abs(there.monodromy).max()
-    assert np.abs(there.image - u).max() > 0.01
+    assert np.abs(there.image - u).max() > 0.001
 
 
 def on_section(section, strobe):
     """The point of the second crossing."""
     state = jax.tree.map(
-        jnp.asarray, section.chart.state(jnp.array([0.3, -0.1] if section.flow.exponents == 3 else [3.0]))
+        jnp.asarray, section.chart.state(jnp.array([0.3, -0.1] if section.flow.exponents == 3 else [1.0]))
     )
     return section.chart.point(jax.jit(lambda z: strobe.iterate(2, z, {}))(state))
 
@@ -175,21 +184,21 @@ def test_parts_back_in_time_undo_the_map_of_mechanics(define):
 
 
 def bouncing(then, **more):
-    def rhs(y, t):
-        return y[1], -1.0
+    def define():
+        wall = {"when": lambda y, t: -y[0], "direction": "up", "then": then, **more}
+        return {"rhs": lambda y, t: (y[1], -1.0), "coordinates": ("x", "v"), "period": 1.0, "jumps": [wall]}
 
-    wall = {"when": lambda y, t: -y[0], "then": then, **more}
-    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 1.0, "jumps": [wall]}
+    return piecewise_smooth(define, {})
 
 
 @pytest.mark.parametrize(
-    ("define", "words"),
+    ("flow", "words"),
     [
-        (lambda: bouncing(lambda y, t: (y[0], -0.8 * y[1]), rest=True), "stick, rest or meet constraints"),
-        (lambda: bouncing(lambda y, t: (y[0], 1.0)), "stick, rest or meet constraints"),
-        (lambda: bouncing(lambda y, t: (y[0], -0.8 * y[1] * jnp.abs(y[1]))), "not linear in the state"),
+        (bouncing(lambda y, t: (y[0], -0.8 * y[1]), rest=True), "stick, rest or meet constraints"),
+        (bouncing(lambda y, t: (y[0], 1.0)), "stick, rest or meet constraints"),
+        (bouncing(lambda y, t: (y[0], -0.8 * y[1] * jnp.abs(y[1]))), "not linear in the state"),
     ],
 )
-def test_what_has_no_inverse(define, words):
+def test_what_has_no_inverse(flow, words):
     with pytest.raises(TypeError, match=words):
-        make_inverse_map(flow_of(define, x=1.0), SOLVERS["tsit5"], 10)
+        make_inverse_map(flow, SOLVERS["tsit5"], 10)
