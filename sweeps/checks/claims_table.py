@@ -79,16 +79,18 @@ def _speeds() -> list[Claim]:
     cores = cells(PEERS, "Two cores", ["over the first"], CPU_devices="two devices")
     maps, spectra = "Maps over heyoka batch", "Spectra over heyoka's variational batch"
     return [
-        of_flow("Duffing's oscillator is [17.2], [12.0] and [6.07] times", maps, "duffing"),
-        of_flow("a driven pendulum's [6.45], [3.79] and [3.06]", maps, "pendulum"),
-        of_flow("Lorenz's [2.32], [1.61] and [1.29]", maps, "lorenz"),
-        of_flow("Roessler's [2.64], [2.02] and [1.26]", maps, "roessler"),
-        of_flow("a governor's by T, Q and f [2.00], [1.78] and [1.48]", maps, "governor"),
-        of_flow("is slower: [0.56], [0.55] and [0.47]", maps, "double_pendulum"),
-        of_flow("Duffing [4.94], [3.91] and [2.57]", spectra, "duffing"),
-        of_flow("pendulum [2.97], [2.71] and [2.99]", spectra, "pendulum"),
-        of_flow("Lorenz [2.19], [1.92] and [1.59]", spectra, "lorenz"),
-        of_flow("Roessler [1.44], [1.09] and [0.92] times", spectra, "roessler"),
+        of_flow("Duffing's oscillator is [14.2], [9.90] and [4.90] times", maps, "duffing"),
+        of_flow("a driven pendulum's [8.22], [3.93] and [2.78]", maps, "pendulum"),
+        of_flow("Lorenz's [1.64], [1.09] and [0.97]", maps, "lorenz"),
+        of_flow("Roessler's [2.32], [1.58] and [0.96]", maps, "roessler"),
+        of_flow("a governor's by T, Q and f [2.93], [2.34] and [1.58]", maps, "governor"),
+        of_flow("is slower: [0.59], [0.55] and [0.44]", maps, "double_pendulum"),
+        of_flow("Duffing [2.55], [2.19] and [1.54]", spectra, "duffing"),
+        of_flow("pendulum [2.06], [1.63] and [1.25]", spectra, "pendulum"),
+        of_flow("Lorenz [1.09], [1.02] and [0.80]", spectra, "lorenz"),
+        of_flow("Roessler [0.74], [0.66] and [0.51] times", spectra, "roessler"),
+        of_flow("governor [0.75], [0.61] and [0.66]", spectra, "governor"),
+        of_flow("double pendulum [0.36], [0.43] and [0.40] times", spectra, "double_pendulum"),
         over(
             "jaxnh is [2.51], [2.52] and [1.84] times as fast as it, on one core",
             "heyoka batch, at the error that it has",
