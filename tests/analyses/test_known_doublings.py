@@ -5,6 +5,7 @@ from __future__ import annotations
 import heyoka as hy
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import jaxnh
 from jaxnh.analyses.cascade.follow import follows
@@ -127,6 +128,36 @@ def test_levels_that_no_lane_shows(b, e):
     delta = data["delta"].to_numpy()[1:-1]
     assert np.all(np.diff(np.abs(delta - 4.669201609)) < 0.0)
     assert delta[-1] == pytest.approx(4.669201609, rel=2e-3)
+
+
+def bent_henon(v=1.4, b=0.372, e=-0.0565):
+    def image(u):
+        return 1.0 - v * u[0] ** 2 - e * u[0] ** 3 + u[1], -b * u[0]
+
+    return {"map": image, "coordinates": ("x", "y")}
+
+
+def multiplier_of_period_two(v, b=0.372, e=-0.0565):
+    """The multiplier nearest −1 of the orbit of period 2, by Newton on its two points; the second coordinate is −b times
+    the x before."""
+
+    x = np.array([-0.35, 0.9])
+    for _ in range(40):
+        left = 1.0 - v * x**2 - e * x**3 - (1.0 + b) * x[::-1]
+        x = x - np.linalg.solve(np.diag(-2.0 * v * x - 3.0 * e * x**2) - (1.0 + b) * np.eye(2)[::-1], left)
+    assert abs(x[0] - x[1]) > 0.5
+    turns = [np.array([[-2.0 * v * t - 3.0 * e * t * t, 1.0], [-b, 0.0]]) for t in x]
+    return float(np.min(np.real(np.linalg.eigvals(turns[1] @ turns[0]))))
+
+
+def test_a_cascade_whose_motions_escape():
+    """From this start most lanes beyond the first doubling escape: the orbit is followed without them."""
+    data = jaxnh.Session(bent_henon, start={"x": 0.1, "y": 0.05}).run(
+        jaxnh.Doubling(levels=2), v=np.linspace(0.9, 1.99, 60)
+    )
+    exact = brentq(lambda v: multiplier_of_period_two(v) + 1.0, 1.9, 2.2, xtol=1e-14)
+    assert data["period"].to_numpy().tolist() == [1, 2]
+    assert abs(float(data["v"][1]) - exact) < 1e-12
 
 
 @pytest.mark.parametrize(

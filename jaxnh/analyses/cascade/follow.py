@@ -195,7 +195,8 @@ def _brackets(steps: _Steps, start: Start, known: list[_Level], n: int) -> Itera
     """Lines of two lanes between which the period-n orbit may double: of the survey, then of the daughter orbit.
 
     The next doubling is expected at the last distance over δ; beyond the first, where the survey has lost the orbit.
-    Further out it is looked for where the daughter is stable as far as this was seen, closer where nowhere so.
+    Further out it is looked for where the daughter is stable as far as this was seen, closer where nowhere so. At last
+    the daughter is followed from where it was seen furthest.
     """
     yield from start.brackets(n)
     if not known:
@@ -216,6 +217,19 @@ def _brackets(steps: _Steps, start: Start, known: list[_Level], n: int) -> Itera
             for run in near.runs():
                 if run.period == n and run.last + 1 < len(near.value):
                     yield near.take(np.array([run.last, run.last + 1]))
+    yield from _rest(start, near, n)
+
+
+def _rest(start: Start, near: PeriodScan | None, n: int) -> Iterator[PeriodScan]:
+    """From where the period-n orbit was seen furthest to the end of the line, as others escape or are on another one."""
+    seen = [start.line.take(slice(run.last, run.last + 1)) for run in start.runs if run.period == n]
+    if near is not None:
+        last = np.flatnonzero(near.period == n)[-1:]
+        seen += [near.take(last)] if len(last) else []
+    if seen:
+        furthest = max(seen, key=lambda lane: start.line.sign * lane.value[0])
+        both = zip(furthest, start.line.take(slice(-1, None)), strict=True)
+        yield PeriodScan(*(np.concatenate(leaves) for leaves in both))
 
 
 class _Level(NamedTuple):
