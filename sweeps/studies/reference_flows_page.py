@@ -53,13 +53,11 @@ def page(data: xr.Dataset) -> str:
         (str(data["flow"].to_numpy()[i]), str(words[i]), str(data["message"].to_numpy()[i]).replace("|", "\\|"))
         for i in np.flatnonzero(~answered)
     ]
-    seconds = data["seconds"].to_numpy()[answered]
     of = f"{int(answered.sum())} of {data.attrs['flows_and_maps']} have an answer"
     missing = int(data.attrs["flows_and_maps"]) - data.sizes["flow"]
     of += f", {missing} have not been run" if missing else ""
-    spent = f", in {np.median(seconds):.0f} s at the median and {seconds.max():.0f} s at most" if len(seconds) else ""
     return _PAGE.format(
-        count=of + spent + ".",
+        count=f"{of}.",
         measured_at="\n".join(dict.fromkeys(data["measured_at"].to_numpy().tolist())),
         rows=_table(heads, rows),
         refused=_table(("name", "status", "message"), refused) if refused else "None.",
