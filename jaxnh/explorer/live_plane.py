@@ -61,8 +61,8 @@ class LivePlane:
             asked.remove(BASINS)
             if not asked:
                 raise InputError(
-                    f"{experiment.label}: analyses.basins.n_starts: explore shows basins over start states, a lane each; "
-                    "of random starts jaxnh sweep and jaxnh plot show the shares"
+                    f"{experiment.label}: analyses.basins.n_starts: explore shows basins over start states, a lane "
+                    "each; of random starts jaxnh sweep and jaxnh plot show the shares"
                 )
         offered = [name for name in dict.fromkeys((*asked, *OF_LANES)) if goes_with(experiment, name, own.get(name))]
         if not offered:
