@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeVar, overload
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxnh.maps.build import make_return_map, prepare_tables
 from jaxnh.maps.family import Maps, ParameterFamily
@@ -22,6 +22,7 @@ from jaxnh.solvers import Solver
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.readout import UNSAID
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 
@@ -196,15 +197,6 @@ class LaneBatch:
         return in_precision(
             make_inverse_map(self.system, self.solver, steps, compensated=self.compensated), self.precision
         )
-
-
-def select(tree: Any, lanes: slice | Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"]) -> Any:
-    """Return a subset of the lanes of a pytree whose leaves have the lanes as first axis."""
-
-    def take(leaf: np.ndarray) -> np.ndarray:
-        return leaf[lanes]
-
-    return jax.tree.map(take, tree)
 
 
 def broadcast_start(start: State, lanes: int) -> State:

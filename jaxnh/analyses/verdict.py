@@ -57,7 +57,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from jaxnh.analyses.base import LANE, Analysis, as_variable, flag, kind_of_lanes, number_variable, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import VerdictOptions
@@ -69,6 +69,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.chart import wrap_angle
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.readout import status
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 from jaxnh.systems.status import NOT_FINITE
 

@@ -18,6 +18,7 @@ from jaxnh.analyses.base import variable
 from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, rate_attrs
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.engine.executor.lanes import LaneExecutor
+from jaxnh.systems.rows import spread_indices
 
 _SEARCHED = 256  # lanes of the sweep among which the most chaotic is looked for
 _SEARCH_PERIODS = 256
@@ -64,7 +65,7 @@ def _measure(batch: LaneBatch, lanes: LaneRunner, value: float, averaged: Int[np
 
 def _most_chaotic(batch: LaneBatch, lanes: LaneRunner) -> float | None:
     """The value of the first axis with the largest exponent."""
-    picked = np.unique(np.linspace(0, batch.count - 1, _SEARCHED).round().astype(int))
+    picked = spread_indices(batch.count, _SEARCHED)
     exponent, bar = _exponents(batch.take(picked), lanes, _SEARCH_PERIODS)
     best = int(np.nanargmax(exponent))
     return float(batch.first_axis.values[picked[best]]) if exponent[best] > 2 * bar[best] else None

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.engine.start_states import spread_indices
 from jaxnh.systems.flow import Flow
+from jaxnh.systems.rows import spread_indices
 from jaxnh.systems.user_file import UserFile
 
 _MOST = 1000  # values of a parameter at which the period is looked at

@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.base import Starts
-from jaxnh.analyses.batch import Axis, LaneBatch, select
+from jaxnh.analyses.batch import Axis, LaneBatch
 from jaxnh.config.blocks import MOST_LANES
 from jaxnh.engine.accuracy import cost_model
 from jaxnh.engine.accuracy.calibration import SAMPLED_LANES, Calibration, Plan
@@ -35,6 +34,7 @@ from jaxnh.maps.section import Section, flow_of
 from jaxnh.solvers import SOLVERS, AdaptiveMethod, Solver, iteration
 from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.flow import Flow
+from jaxnh.systems.rows import concatenate, select, spread_indices
 
 _MOST_CHOOSING = 1 << 16  # lanes of a sweep with more than are run unasked that analyses choose by
 _LONGEST_RUN = 86400.0  # seconds that a sweep may take unasked: what takes days is a slip, or work for a cluster
@@ -92,10 +92,10 @@ def start_samplers(requested: Requested) -> dict[str, Starts]:
 def _with_starts(row: SweepPoints, draw: Starts, most: int) -> SweepPoints:
     """Sample lanes, with `most` of their random starts."""
     state, lane = draw(LaneBatch(row.system, row.start, row.p, scheme_of(row.system).reference, 1, False, math.inf))
-    subset = np.unique(np.linspace(0, len(lane) - 1, most).round().astype(int))
+    subset = spread_indices(len(lane), most)
     drawn = select(state, subset), *select((dict(row.p), dict(row.where)), lane[subset])
     own = row.start, dict(row.p), dict(row.where)
-    start, p, where = jax.tree.map(lambda *leaves: np.concatenate(leaves), own, drawn)
+    start, p, where = concatenate([own, drawn])
     return row._replace(start=start, p=p, where=where)
 
 

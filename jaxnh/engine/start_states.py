@@ -18,6 +18,7 @@ from jaxnh.config.user_system import UserInitial, UserSweep
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.lagrangian import Lagrangian, Motion
 from jaxnh.systems.level import off_level
+from jaxnh.systems.rows import concatenate, select, spread_indices, write_rows
 from jaxnh.systems.state import State
 from jaxnh.systems.status import STATUS
 from jaxnh.systems.switched_mechanics import SwitchedMechanics
@@ -77,7 +78,7 @@ def check_starts(flow: Flow, initial: UserInitial, sweep: UserSweep, integrals: 
     sizes = np.where(np.isfinite(residuals), np.abs(residuals), np.inf)
     number, lane = np.unravel_index(np.argmax(sizes), sizes.shape)
     where = join_words([f"{name} = {values[lane]:g}" for name, values in axes.items()])
-    near = _lanes_of(_nearest_states(flow, *_lanes_of((start, parameters), np.array([lane]))), 0)
+    near = select(_nearest_states(flow, *select((start, parameters), np.array([lane]))), 0)
     message, keys = _describe_residual(flow, int(number), float(residuals[number, lane]), where, near)
     own = [key for key in swept if key.removeprefix("sweep.") in keys]
     raise rule(message, *own, *(f"initial.{key}" for key in (*keys, *flow.names)), *swept, "initial", "system")
@@ -158,9 +159,9 @@ def _in_tiles(function: Callable[..., Any], flow: Lagrangian, start: Motion, p: 
     with jax.enable_x64(True):  # whoever loads a config in a script has not started a session yet
         for first in range(0, count, _TILE):
             last = min(first + _TILE, count)
-            part = _lanes_of(lanes, np.minimum(np.arange(first, first + _TILE), count - 1))
+            part = select(lanes, np.minimum(np.arange(first, first + _TILE), count - 1))
             parts.append(jax.tree.map(lambda leaf, n=last - first: np.asarray(leaf)[:n], function(flow, *part)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    return concatenate(parts)
 
 
 def admit_starts(flow: Flow, start: State, p: Parameters, levels: Mapping[str, np.ndarray], *, project: bool) -> State:
@@ -177,7 +178,7 @@ def admit_starts(flow: Flow, start: State, p: Parameters, levels: Mapping[str, n
     if project and flow.constrained:
         _, off = _off_constraint(flow, start, p)
         if np.any(off):
-            start = _replaced(start, off, _nearest_states(flow, *_lanes_of((start, dict(p)), off)))
+            start = _replaced(start, off, _nearest_states(flow, *select((start, dict(p)), off)))
     reached = np.ones(len(start.q[0]), bool)
     for name, values in levels.items():
         start, reached = put_on_level(flow, start, p, name, np.broadcast_to(values, reached.shape))
@@ -186,8 +187,8 @@ def admit_starts(flow: Flow, start: State, p: Parameters, levels: Mapping[str, n
         off = off | _off_constraint(flow, start, p)[1]
     if not np.any(off):
         return start
-    drift, reason = _lanes_of(start.watch, off)
-    nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), _lanes_of(start, off))
+    drift, reason = select(start.watch, off)
+    nowhere = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), select(start, off))
     return _replaced(start, off, nowhere._replace(watch=(drift, np.full_like(reason, STATUS.index("off_constraint")))))
 
 
@@ -227,15 +228,10 @@ def _integral(flow: Lagrangian, start: Motion, p: Parameters, name: str) -> np.n
     return np.asarray(jax.vmap(lambda y, p: flow.integral(name, 0.0, y, p))(start, dict(p)))
 
 
-def _lanes_of(tree: Any, lanes: np.ndarray | int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[lanes], tree)
-
-
 def _replaced(states: Motion, lanes: np.ndarray, others: Motion) -> Motion:
     """States with some lanes replaced."""
     states = jax.tree.map(np.array, states)
-    for leaf, part in zip(jax.tree.leaves(states), jax.tree.leaves(others), strict=True):
-        leaf[lanes] = part
+    write_rows(states, lanes, others)
     return states
 
 
@@ -247,8 +243,3 @@ def _product(axes: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.
         counts[largest] = -(-counts[largest] // 2)
     picked = [values[spread_indices(len(values), counts[name])] for name, values in axes.items()]
     return dict(zip(axes, (grid.ravel() for grid in np.meshgrid(*picked, indexing="ij")), strict=True))
-
-
-def spread_indices(count: int, most: int) -> np.ndarray:
-    """Return at most `most` numbers below a count, evenly spaced, with both ends."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import select
 
 NEWTON_STEPS = 12
 # Residuals and steps in sizes of the motion.
@@ -149,7 +150,7 @@ def find_doubled(
     known = _Bending(bend, _times(_mean(around) - around[:, 2], at.v) / first**2, at.v.copy())
     length, settled, steps = np.full(lanes, np.inf), np.zeros(lanes, np.bool_), np.zeros(lanes, np.int32)
     for _ in range(_DOUBLED_STEPS):
-        branches, bent = _Branches(*(leaf[open_] for leaf in at)), _Bending(*(leaf[open_] for leaf in known))
+        branches, bent = select((at, known), open_)
         step = _doubled_step(branches, bent, *on_lines(open_, branches.m, _amplitude(branches)))
         moved = branches.square + step[:, -1]
         at.m[open_] += size[open_] * step[:, :d]

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import concatenate, select
 
 SAME = 1e-6
 """Distance, in sizes of the motion, below which two orbits are one: Newton leaves 1e-9."""
@@ -93,12 +94,11 @@ def merge_cycles(
         wrap: of differences of section coordinates.
         sample: whether the others are what a round has met, which is counted.
     """
-    both = Cycles(*(np.concatenate(leaves) for leaves in zip(known, more, strict=True)))
+    both = concatenate([known, more])
     label = equal_cycles(both.lane, both.points, size[both.lane], wrap)
     if sample:
         both.rounds[np.unique(label[len(known.lane) :])] += 1
-    kept = np.flatnonzero(label == np.arange(len(label)))
-    return Cycles(*(leaf[kept] for leaf in both))
+    return select(both, np.flatnonzero(label == np.arange(len(label))))
 
 
 def _distance(

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from jaxnh.maps.iterate import Derivatives
 from jaxnh.orbits import cyclic
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import write_rows
 
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-9  # step, in sizes of the orbit, after which the points are known to rounding
@@ -133,8 +134,7 @@ def orbits_from_afar(
     if not near.any():
         return whole
     orbits = close_orbits(period, points[near], values[near], wrap)
-    for leaf, new in zip(whole, orbits, strict=True):
-        leaf[near] = new
+    write_rows(whole, near, orbits)
     return whole
 
 

@@ -27,7 +27,7 @@ from jaxnh.analyses.basins.paths import batch_from_points, record_points
 from jaxnh.analyses.basins.settling import FAILED, LaneRecords, settle
 from jaxnh.analyses.basins.steps_after_transient import choose_steps
 from jaxnh.analyses.basins.tables import SweepAttractors, attractors_group, basins_group, shares
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.basins import BasinsOptions
 from jaxnh.analyses.periodic.sensitivities import Sensitivities
@@ -37,6 +37,7 @@ from jaxnh.analyses.section_points import states_at
 from jaxnh.analyses.window_averages import average_window, maps, window_averages
 from jaxnh.maps.section import outputs
 from jaxnh.systems.readout import Output
+from jaxnh.systems.rows import select, spread_indices, write_rows
 
 _SAMPLED = 1024  # lanes by which steps are chosen
 _MANY = 16 * _SAMPLED  # lanes of a sweep that are worth it
@@ -61,9 +62,8 @@ def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[
     batch = batch.without_section()
     if batch.count * max(1, options.n_starts) < _MANY:
         return {"steps": batch.steps}
-    subset = np.unique(np.linspace(0, batch.count - 1, min(batch.count, _SAMPLED)).round().astype(int))
-    subset_batch = _draw_starts(options, batch.take(subset))[0]
-    sample = subset_batch.take(np.unique(np.linspace(0, subset_batch.count - 1, _SAMPLED).round().astype(int)))
+    drawn = _draw_starts(options, batch.take(spread_indices(batch.count, _SAMPLED)))[0]
+    sample = drawn.take(spread_indices(drawn.count, _SAMPLED))
     window = average_window(sample, lanes, sample.start, options.transient // 2)
     return {"steps": choose_steps(sample, lanes, window.state)}
 
@@ -119,8 +119,7 @@ def reduce(options: BasinsOptions, sweep: SweepLanes, lanes: LaneRunner, data: x
         for name, values in draws.items():
             drawn[name][subset] = values
         assignment = find_attractors(batch, lanes, part, point[subset], options.max_period, options.max_periods)
-        for leaf, changed in zip(records, part, strict=True):
-            leaf[subset] = changed
+        write_rows(records, subset, part)
         judged += assignment.judged
         if assignment.attractors is None:
             continue

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
@@ -35,7 +34,7 @@ from jaxnh.analyses.basins.paths import (
 from jaxnh.analyses.basins.point_sets import lie_within, point_set, spacing
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, SETTLED_TO, LaneRecords
 from jaxnh.analyses.basins.volume import keeps_volume
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.equilibria.search import find_equilibria
 from jaxnh.analyses.exponents.lyapunov import run as exponents_of
 from jaxnh.analyses.options.chaos import LyapunovOptions
@@ -43,6 +42,7 @@ from jaxnh.analyses.periodic.attractor_survey import polish_beyond_doublings, su
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.analyses.verdict import KINDS, exceeds_shear, find_timeless, is_contracting, largest_across, nearly_zero
 from jaxnh.analyses.window_averages import WindowAverages, average_window, points_a_unit, units
+from jaxnh.systems.rows import concatenate, select, write_rows
 from jaxnh.systems.state import State
 
 NONE = -1
@@ -125,10 +125,9 @@ def _with_rows(judged: Attractors, rows: Int[np.ndarray, " some"], others: Attra
         each._replace(**dict(zip(("points", "steps"), pad_points(each.points, each.steps, count), strict=True)))
         for each in (judged, others)
     )
-    leaves = [leaf.copy() for leaf in judged]
-    for leaf, new in zip(leaves, others, strict=True):
-        leaf[rows] = new
-    return Attractors(*leaves)
+    whole = Attractors(*(leaf.copy() for leaf in judged))
+    write_rows(whole, rows, others)
+    return whole
 
 
 def _classify(
@@ -235,7 +234,7 @@ def _average_confirming_window(
         parts.append(average_window(batch.take(group), lanes, start, LONGER * length))
         order.append(group)
     back = np.argsort(np.concatenate(order))
-    window = jax.tree.map(lambda *leaves: np.concatenate(leaves)[back], *parts)
+    window = select(concatenate(parts), back)
     return window, window.state
 
 

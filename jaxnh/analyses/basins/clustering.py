@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
@@ -42,8 +41,9 @@ from jaxnh.analyses.basins.settling import (
     resume,
 )
 from jaxnh.analyses.basins.volume import keeps_volume
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.systems.chart import Chart
+from jaxnh.systems.rows import concatenate, select, spread_indices
 from jaxnh.systems.status import NOT_FINITE
 
 _MOST_CLUSTERS = 64  # of a value of the parameters, that are judged at once
@@ -172,10 +172,10 @@ def _drop_transients(
     """Drop chaotic attractors that some motions have left, and return which lanes had been on them."""
     if assignment.attractors is None:
         return assignment, np.zeros(len(assignment.number), np.bool_)
-    gone: Departures = jax.tree.map(lambda *leaves: np.concatenate(leaves), *departures)
+    gone = concatenate(departures)
     stays = np.ones(len(assignment.point), np.bool_)
     for k in np.flatnonzero(assignment.attractors.kind == CHAOTIC).tolist():
-        attractor: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], assignment.attractors)
+        attractor = select(assignment.attractors, k)
         gaps, left = records.gap[assignment.number == k], select(gone.records, gone.point == assignment.point[k])
         stays[k] = not np.any(_was_on(chart, attractor, left, float(np.median(gaps)) if len(gaps) else 0.0))
     number = np.where(stays, np.cumsum(stays) - 1, -1)
@@ -213,7 +213,7 @@ def _far_from_leaders(
         if not finite[k]:
             away[members] = True
         elif len(members) > 1:
-            leader: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+            leader = select(judged, k)
             away[members] = distances(chart, leader, records.u[members], records.size[members]) > 1.0
     return away
 
@@ -241,7 +241,7 @@ def match(
     paths = follow_paths(batch.take(restless), lanes, records.u[restless]) if len(restless) else np.empty(0)
     (first, second), nearest = np.full((2, batch.count), np.inf), np.full(batch.count, -1)
     for k in range(len(assignment.point)):
-        attractor: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], assignment.attractors)
+        attractor = select(assignment.attractors, k)
         subset = settled[point[settled] == assignment.point[k]]
         fits = np.all(np.abs(records.means[subset] - attractor.means) <= records.unit[subset] + attractor.unit, axis=1)
         subset = subset[fits if of_leader is None else fits | (of_leader[subset] == k)]
@@ -292,7 +292,7 @@ def _representatives(
     others = np.flatnonzero(pending & (records.known == RESTLESS)) if restless else np.zeros(0, int)
     for at in np.unique(point[others]):
         lanes_at = others[point[others] == at]
-        seeds += lanes_at[np.unique(np.linspace(0, len(lanes_at) - 1, min(_SEEDS, most)).round().astype(int))].tolist()
+        seeds += lanes_at[spread_indices(len(lanes_at), min(_SEEDS, most))].tolist()
     return np.array(seeds, int), cluster
 
 
@@ -311,7 +311,7 @@ def _add_attractors(
     for k in range(len(point)):
         if judged.kind[k] == NONE:
             continue
-        target: Attractors = jax.tree.map(lambda leaf, k=k: leaf[k], judged)
+        target = select(judged, k)
         known = [] if assignment.attractors is None else [(0, assignment.attractors, assignment.point)]
         known += [(before, select(judged, np.array(new)), point[new])] if new else []
         for first, others, at in known:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -16,6 +15,7 @@ from jaxnh.analyses.basins.paths import pad_points, stays_near
 from jaxnh.analyses.basins.point_sets import lie_within, offsets, point_set
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.systems.chart import Chart
+from jaxnh.systems.rows import concatenate, select
 
 _SAME_ORBIT = 1e-6  # of the largest motion on an attractor of the sweep
 _MOSTLY = 0.95  # of the points of a set lie within the largest spacing that those of another look have
@@ -61,7 +61,7 @@ def same_attractors(
         return same_orbits(chart, first, others, largest) & same_point
     alike = (others.kind == first.kind) & same_point
     for k in np.flatnonzero(alike):
-        alike[k] = same_set(chart, first, jax.tree.map(lambda leaf, k=k: leaf[k], others))
+        alike[k] = same_set(chart, first, select(others, k))
     return alike
 
 
@@ -99,4 +99,4 @@ def join_attractors(parts: Sequence[Attractors]) -> Attractors:
     most = max(part.points.shape[1] for part in parts)
     filled = [pad_points(part.points, part.steps, most) for part in parts]
     even = [part._replace(points=points, steps=steps) for part, (points, steps) in zip(parts, filled, strict=True)]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *even)
+    return concatenate(even)

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -22,11 +21,12 @@ from jaxnh.analyses.basins.clustering import Assignment, match
 from jaxnh.analyses.basins.comparison import same_orbits, same_within
 from jaxnh.analyses.basins.paths import batch_from_points
 from jaxnh.analyses.basins.settling import RESTLESS, SETTLED, resume, settle
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.crises.band_phase import embed_points
 from jaxnh.analyses.crises.sudden_growth import keep_common_growths, sudden_growths
 from jaxnh.analyses.equilibria.search import equilibria_from_starts
 from jaxnh.analyses.periodic.newton_on_lanes import converged, largest_multiplier, orbits
+from jaxnh.systems.rows import select, write_rows
 
 BIRTH, DEATH, CRISIS = range(3)
 CHANGES = ("birth", "death", "crisis")
@@ -226,7 +226,7 @@ class _AxisLinks:
         """Return the attractor at a value that is an orbit of this kind and period through u; −1 if there is none."""
         there = self._attractors_at(at)
         chart = self._grid.batches[self._grid.row[at]].chart
-        like = jax.tree.map(lambda leaf: leaf[attractor], self._every)._replace(u=u)
+        like = select(self._every, attractor)._replace(u=u)
         hits = there[same_orbits(chart, like, select(self._every, there), self._largest)]
         return int(hits[0]) if len(hits) else -1
 
@@ -259,9 +259,7 @@ class _AxisLinks:
                     continue
                 which, among = places[mine], batch.take(np.flatnonzero(mine))
                 solve = self._solve_orbits if kind == PERIODIC else self._solve_equilibria
-                parts = solve(among, u[which], subset[which])
-                for whole, part in zip(result, parts, strict=True):
-                    whole[which] = part
+                write_rows(result, which, solve(among, u[which], subset[which]))
         return result
 
     def _solve_orbits(

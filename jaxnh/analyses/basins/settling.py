@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.section_points import points_at, states_at, statuses
 from jaxnh.analyses.window_averages import WindowAverages, average_window, units
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State, is_finite
 from jaxnh.systems.status import STATUS
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.cascade.plateaus import PeriodScan
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
@@ -24,8 +24,9 @@ from jaxnh.analyses.periodic.newton_on_lanes import (
     section_distance,
 )
 from jaxnh.orbits.bifurcations.doubling_points import DoublingPoint, doubling_function, halves
-from jaxnh.orbits.shooting import Period, ShootingOrbits, close_orbits
+from jaxnh.orbits.shooting import Period, close_orbits
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import select
 
 _NEAR, _FAR = 1 / 16, 2.0  # distances beyond a doubling to look at first, in units of that expected to the next one
 
@@ -99,7 +100,7 @@ def long_doubled_orbit(
     orbits = close_orbits(period, starts, np.full(len(starts), born.value + distance), wrap)
     apart = np.linalg.norm(halves(orbits.points, wrap) / size, axis=-1).max(axis=-1)
     doubled = orbits.converged & (apart > expected * _AROUND[0]) & (apart < before)
-    doubled[doubled] &= doubling_function(ShootingOrbits(*(leaf[doubled] for leaf in orbits))) > 0.0
+    doubled[doubled] &= doubling_function(select(orbits, doubled)) > 0.0
     return orbits.points[np.argmax(doubled)] if doubled.any() else None
 
 

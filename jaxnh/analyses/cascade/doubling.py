@@ -30,6 +30,7 @@ from jaxnh.analyses.periodic.sensitivity_tables import absent_words, sensitivity
 from jaxnh.maps.section import System, flow_of
 from jaxnh.systems.chart import Wrap
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.rows import spread_indices
 
 _LIMITS = ("delta_limit", "alpha", "limit")  # each with its error
 _NUMBERS = (*_LIMITS, *(f"{name}_error" for name in _LIMITS), "levels_found")
@@ -261,7 +262,7 @@ def _cascades(data: xr.Dataset, others: tuple[str, ...]) -> Table:
     """A row a cascade: its point of the other axes, its first and last doubling, and the limit of δ."""
     name = str(data.attrs["along"])
     points = list(np.ndindex(*(data.sizes[other] for other in others)))
-    shown = np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_SHOWN)).round().astype(int))
+    shown = spread_indices(len(points), _MOST_SHOWN)
     rows = []
     for point in (points[i] for i in shown):
         cascade = data.isel(dict(zip(others, point, strict=True)))

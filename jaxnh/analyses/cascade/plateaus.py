@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnh.systems.rows import concatenate, select
+
 _HOLE = 2  # lanes: so many alone or in pairs may lie between two runs of a cascade, however short these are
 _SHOWN = 8  # runs in words
 
@@ -49,11 +51,11 @@ class PeriodScan(NamedTuple):
 
     def take(self, lanes: Int[np.ndarray, " some"] | slice) -> PeriodScan:
         """The line of some of its lanes, in the order of their numbers as given."""
-        return PeriodScan(*(leaf[lanes] for leaf in self))
+        return select(self, lanes)
 
     def joined(self, other: PeriodScan) -> PeriodScan:
         """Both lines as one, in the direction of this one, a lane of this one where both have the value."""
-        both = PeriodScan(*(np.concatenate(leaves) for leaves in zip(self, other, strict=True)))
+        both = concatenate([self, other])
         order = np.unique(both.value, return_index=True)[1]
         return both.take(order if self.sign > 0 else order[::-1])
 

@@ -37,6 +37,7 @@ from jaxnh.analyses.random_starts import check_box
 from jaxnh.maps.section import Section
 from jaxnh.orbits.continuation.paths import NO_CONVERGENCE, NO_RETURN
 from jaxnh.systems.flow import Flow
+from jaxnh.systems.rows import spread_indices
 
 _WORK = 3.0  # of a run, in those of settling: a guess
 # Steps of a return. Its derivatives take 17 μs a step, as of circuit.yaml (130 steps) and peroxidase.yaml (2,500); an
@@ -157,7 +158,7 @@ def grow_branches(
     unit = motion_unit([batch], lanes, period, size, options.box)
     ends = float(axis.values.min()), float(axis.values.max())
     waves = [*attractor_waves(batch, lanes, u, period), list(seeds)]
-    sampled = np.unique(np.linspace(0, batch.count - 1, min(options.n_values, batch.count)).round().astype(int))
+    sampled = spread_indices(batch.count, options.n_values)
     sample = batch.take(np.argsort(axis.values, kind="stable")[sampled])
     if options.n_starts:
         with lanes.stage(f"branches: {options.n_starts} random starts at {len(sampled)} values of {axis.name}", 0):

@@ -28,6 +28,7 @@ from jaxnh.orbits.collocation.cycle_equations import CyclePoint
 from jaxnh.orbits.collocation.equations import Problem
 from jaxnh.orbits.collocation.homoclinic import cut_open, saddle_at
 from jaxnh.orbits.continuation.paths import STEPS
+from jaxnh.systems.rows import spread_indices
 
 _TRANSIENT = 512  # crossings before lanes are looked at
 _VALUES = 5  # of the first axis at which equilibria are looked for
@@ -62,7 +63,7 @@ def seeds_from_cycles(
     waves = attractor_waves(batch, lanes, survey.u, period)
     size = motion_unit([batch], lanes, period, sizes_in_motion(batch, lanes, survey), options.box)
     steps = step_control(options)._replace(max_steps=STEPS.max_steps)
-    sampled = np.unique(np.linspace(0, batch.count - 1, min(_VALUES, batch.count)).round().astype(int))
+    sampled = spread_indices(batch.count, _VALUES)
     still = equilibria(batch.take(sampled), lanes, options.n_starts, options.seed, options.box, range_, steps, stage)
     if isinstance(batch.system, Section):
         waves.append(

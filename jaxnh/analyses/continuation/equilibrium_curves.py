@@ -38,6 +38,7 @@ from jaxnh.orbits.continuation.equilibrium_curves import (
 )
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF
 from jaxnh.orbits.continuation.paths import STEPS, StepControl
+from jaxnh.systems.rows import spread_indices
 
 _NEAR = 1e-3  # lengths: a chord between two points is nearer to its curve than this
 _SAFETY = 4.0  # rounding of one step of Newton against that of a point
@@ -83,8 +84,7 @@ def equilibrium_curves(
     steps, ends = step_control(options)._replace(max_steps=STEPS.max_steps), (float(low[0]), float(high[0]))
     seeds, size = list[tuple[int, np.ndarray, np.ndarray]](), np.ones(batches[0].flow.chart.dimension)
     for batch in batches:
-        count = len(batch.first_axis.values)
-        sampled = np.unique(np.linspace(0, count - 1, min(options.n_values, count)).round().astype(int))
+        sampled = spread_indices(len(batch.first_axis.values), options.n_values)
         sample = batch.take(np.argsort(batch.first_axis.values, kind="stable")[sampled])
         followed = equilibria(sample, lanes, options.equilibria, options.seed, options.box, ends, steps, stage)
         size, second = followed.family.size, float(batch.p[names[1]][0])

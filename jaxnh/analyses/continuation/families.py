@@ -19,6 +19,7 @@ from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.curves import ParameterPlane
 from jaxnh.orbits.continuation.equilibrium_curves import FieldPlane
 from jaxnh.orbits.continuation.paths import StepControl
+from jaxnh.systems.rows import spread_indices
 
 _TILE = 32  # lanes a tile: of 16 one lane takes three quarters of the time, and of hundreds each takes twice as long
 # On a section, whose returns are of many steps, arithmetic decides: of the flows in configs/flows eight lanes take the
@@ -53,8 +54,7 @@ def lanes_along(row: LaneBatch, first: Axis, second: Axis, value: float) -> Lane
 
 def values_searched(second: Axis, count: int) -> Float[np.ndarray, " values"]:
     """So many values of an axis, evenly over their numbers, both ends among them, or all; in order."""
-    sampled = np.linspace(0, len(second.values) - 1, min(count, len(second.values))).round().astype(int)
-    return np.unique(second.values[np.unique(sampled)])
+    return np.unique(second.values[spread_indices(len(second.values), count)])
 
 
 def step_control(options: Continuation) -> StepControl:

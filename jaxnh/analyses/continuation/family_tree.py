@@ -28,6 +28,7 @@ from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, eigenvalues
 from jaxnh.orbits.continuation.paths import COLLAPSED, StepControl
 from jaxnh.orbits.continuation.switching import crossing_orbits, doubled_orbits
+from jaxnh.systems.rows import concatenate, select, spread_indices
 
 _BESIDE = 5e-6  # lengths: orbits that begin at a bifurcation are further than this from the branch that has it
 _LOOKED_AT = 9  # points of a branch
@@ -171,7 +172,7 @@ def _follow_branches(
         points, value = np.stack([orbit.points for orbit in seeds]), np.array([orbit.value for orbit in seeds])
         orbits = correct(family, points, value, along_parameter(family, *points.shape[:2]), FINE)
         queue.append(orbits.take(orbits.converged))
-    orbits: CurveOrbits = jax.tree.map(lambda *leaves: np.concatenate(leaves), *queue)
+    orbits = concatenate(queue)
     n, at_once = orbits.points.shape[1], _at_once(family, seeds)
     kept, new = KnownBranches(family, tree.branches, n), list[Branch]()
 
@@ -214,7 +215,7 @@ def _at_once(family: Family, seeds: Sequence[SeedOrbit]) -> int:
 
 def _is_known(known: KnownBranches, branch: Branch) -> bool:
     """Return whether all of a branch, as far as some of its points tell, is on others."""
-    sampled = np.unique(np.linspace(0, len(branch.value) - 1, _LOOKED_AT).round().astype(int)).tolist()
+    sampled = spread_indices(len(branch.value), _LOOKED_AT).tolist()
     return all(known.has(branch.points[i], float(branch.value[i])) for i in sampled)
 
 
@@ -243,8 +244,7 @@ def _add_branches(
         if len(double) and 2 * n <= limit:
             starts.append(doubled_orbits(families[0], first.take(double), vectors[double]))
         if len(cross):
-            sides = [crossing_orbits(families[0], first.take(cross), sign) for sign in (1.0, -1.0)]
-            starts.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *sides))
+            starts.append(concatenate(crossing_orbits(families[0], first.take(cross), sign) for sign in (1.0, -1.0)))
     return tree, starts, parents
 
 
@@ -261,7 +261,7 @@ def _locate(
     neutral[neutral] = neutral_pair(families[0], first.orbits.take(neutral))
     located = np.flatnonzero(first.exists & ~neutral)
     lost = _sign_changes(stretch, ~first.exists, count)
-    stretch, first = (jax.tree.map(lambda leaf: leaf[located], part) for part in (stretch, first))
+    stretch, first = select((stretch, first), located)
     if not len(located):
         return [], first.orbits, np.zeros(first.orbits.points.shape), lost
     second, third = (locate_near(finer, stretch, first) for finer in families[1:])
@@ -295,7 +295,7 @@ def _with_known_signs(families: Sequence[Family], stretch: Brackets) -> Brackets
     pairs = np.flatnonzero(np.isin(stretch.kind, PAIRS))
     if not len(pairs):
         return stretch
-    part: Brackets = jax.tree.map(lambda leaf: leaf[pairs], stretch)
+    part = select(stretch, pairs)
     size = length(families[0], part.chord)
     end = PathVector(part.start.points + part.chord.points, part.start.value + part.chord.value)
     ways = [times(1.0 / size, way) for way in part.ways]

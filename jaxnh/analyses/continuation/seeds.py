@@ -18,6 +18,7 @@ from jaxnh.analyses.section_points import at_rest, points_after, points_from, po
 from jaxnh.maps.iterate import section_map
 from jaxnh.orbits.recognition import equal_cycles, primitive_period
 from jaxnh.orbits.shooting import orbits_from_afar
+from jaxnh.systems.rows import spread_indices
 
 _FIRST_WAVE = 8  # lanes; every later wave has twice as many, half as far apart
 _WINDOWS = 4  # of a motion
@@ -94,7 +95,7 @@ def _waves(count: int) -> Sequence[Int[np.ndarray, " some"]]:
     """Numbers below a count in waves: evenly spread, then those half way between, until there are no more."""
     waves, seen, size = list[np.ndarray](), np.zeros(count, bool), min(count, _FIRST_WAVE)
     while not seen.all():
-        part = np.unique(np.linspace(0, count - 1, size).round().astype(int))
+        part = spread_indices(count, size)
         waves.append(part[~seen[part]])
         seen[part] = True
         size = min(2 * size - 1, count) if size > 1 else count

@@ -59,6 +59,7 @@ from jaxnh.analyses.trajectories.states import check_transient, section_attrs, s
 from jaxnh.maps.iterate import derivative_and_volume
 from jaxnh.maps.section import reports
 from jaxnh.systems.discrete_map import DiscreteMap
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import LaneStates, is_finite
 
 _SETTLED = 4  # returns that directions settle in, for the expected work of a search
@@ -134,7 +135,7 @@ def _motions(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -> 
     points = u.reshape(-1, d), each
     moved = lanes(derivative_and_volume, (strobe,), points, periods=DERIVATIVE, tile=ORBIT_TILE)
     matrices, volumes = (np.array(leaf).reshape(*u.shape[:2], *leaf.shape[1:]) for leaf in moved)
-    sound = np.isfinite(matrices).all(axis=(1, 2, 3)) & is_finite(jax.tree.map(lambda leaf: leaf[:, -1], states))
+    sound = np.isfinite(matrices).all(axis=(1, 2, 3)) & is_finite(select(states, np.s_[:, -1]))
     size = _sizes(u, np.array(batch.chart.angles), sound)
     matrices = matrices * (size[:, None, None, :] / size[:, None, :, None])
     sound &= np.min(np.max(np.abs(matrices), axis=(2, 3)), axis=1) > 0.0

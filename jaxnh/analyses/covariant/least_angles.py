@@ -12,18 +12,19 @@ and Altmann, Phys. Rev. Lett. 110 (2013) 220601).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.covariant.directions import directions_along, settling_returns
 from jaxnh.analyses.covariant.vectors import CovariantVectors
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE
 from jaxnh.analyses.section_points import points_at, shear_along_flow, states_at
 from jaxnh.maps.iterate import derivative_and_volume
+from jaxnh.systems.rows import concatenate, select, write_rows
 
 ISLANDS = 8
 """Points of each lane that are moved, each by itself."""
@@ -126,15 +127,6 @@ class _Points(NamedTuple):
     target: Float[np.ndarray, "*points d"]
     directions: Float[np.ndarray, "*points 2 d j"]
 
-    def put(self, where: tuple[Any, ...], others: _Points) -> None:
-        """Put others in the place of some points."""
-        for mine, theirs in zip(self, others, strict=True):
-            mine[where] = theirs
-
-    def take(self, where: tuple[Any, ...]) -> _Points:
-        """Return some of the points."""
-        return _Points(*(leaf[where] for leaf in self))
-
 
 def searched_returns(n: int) -> int:
     """Return how many returns one round follows in a lane whose directions settle in n."""
@@ -213,7 +205,7 @@ def _rounds(
         ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
         (going,) = np.nonzero(~crossed)
         if len(going):
-            parents, some = islands.take((going,)), scene.take(going)
+            parents, some = select(islands, going), scene.take(going)
             near = np.minimum(lengths[going, :, None] * factors, _LONGEST)
             length = np.where(np.arange(CHILDREN) % 2, even, near)
             along = np.einsum("lidj,icj->licd", parents.frames[..., : scene.j], ways) * length[..., None]
@@ -221,7 +213,7 @@ def _rounds(
             by_angle, by_stretch = _children(some, moved, parents.frames)
             crossed[going] = _crossed(some, parents, by_angle)
             for island in range(ISLANDS):
-                children = (by_stretch if steep[island] else by_angle).take((slice(None), island))
+                children = select(by_stretch if steep[island] else by_angle, np.s_[:, island])
                 gain = children.stretch - islands.stretch[going, island, None]
                 if not steep[island]:
                     gain = islands.angle[going, island, None] - children.angle
@@ -246,7 +238,7 @@ def _keep_best(
     """Put the child of most gain, and the length of its move, in the place of an island of each lane, if it gains."""
     best, some = np.argmax(gain, axis=1), np.arange(len(going))
     (of,) = np.nonzero(gain[some, best] > 0.0)
-    islands.put((going[of], island[of]), children.take((of, best[of])))
+    write_rows(islands, (going[of], island[of]), select(children, (of, best[of])))
     lengths[going[of], island[of]] = length[of, best[of]]
 
 
@@ -280,9 +272,7 @@ def _children(
     for first in range(0, len(rows), at_once):
         some = slice(first, first + at_once)
         parts.append(_least_and_steepest(scene.take(rows[some]), points[some], frames[some]))
-    whole = [[np.concatenate(leaves) for leaves in zip(*each, strict=True)] for each in zip(*parts, strict=True)]
-    least, steepest = (_Points(*(leaf.reshape(*shape, *leaf.shape[1:]) for leaf in each)) for each in whole)
-    return least, steepest
+    return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), concatenate(parts))
 
 
 def _least_and_steepest(

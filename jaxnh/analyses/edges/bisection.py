@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.edges.destinations import TILE, UNDECIDED, Destinations, destinations
 from jaxnh.analyses.section_points import on_constraints
+from jaxnh.systems.rows import select
 
 WIDTH = 1e-11
 """Distance, in sizes, of two points that a boundary lies between."""

@@ -17,8 +17,9 @@ from jaxnh.analyses.basins.classification import CHAOTIC, LIMIT_CYCLE, PERIODIC,
 from jaxnh.analyses.basins.clustering import find_attractors
 from jaxnh.analyses.basins.point_sets import PointSet, offsets, point_set
 from jaxnh.analyses.basins.settling import FAILED, settle
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.family import Maps
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State, is_finite
 
 MOST = 8

@@ -33,6 +33,7 @@ from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.random_starts import box_corners, check_box, draw_starts, random_start_batch
 from jaxnh.analyses.section_points import first_points
 from jaxnh.analyses.trajectories.states import section_attrs
+from jaxnh.systems.rows import spread_indices
 
 _USUAL = 64.0  # periods that a state takes to its attractor, for the expected work
 _LABELS = 64.0  # states that a pair of points is brought together by, again and again
@@ -118,7 +119,7 @@ def _points(known: Sequence[LaneAttractors], most: int, d: int) -> Shocks:
         for place in range(len(known_lane.targets)):
             assert known_lane.attractors is not None
             turns = turns_of(known_lane.attractors, place)
-            chosen = np.unique(np.linspace(0, turns - 1, min(turns, most)).round().astype(int))
+            chosen = spread_indices(turns, most)
             base.append(known_lane.attractors.points[place, chosen])
             lane += [number] * len(chosen)
             attractor += [place] * len(chosen)

@@ -16,12 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.batch import LaneRunner, select
+from jaxnh.analyses.batch import LaneRunner
 from jaxnh.analyses.edges.bisection import WIDTH, Bracket, Space, label_points, narrow
 from jaxnh.analyses.edges.destinations import TILE, UNDECIDED, Destinations
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import select, write_rows
 
 _ROW = 16  # lengths at which a direction is looked at first
 _ANGLES = (0.2, 0.1, 0.05, 0.02, 0.01, 0.005)  # rad: of the parabola's shocks from the best one, step by step
@@ -57,15 +58,6 @@ class Shocks(NamedTuple):
     to: Int[np.ndarray, " shocks"]
     error: Float[np.ndarray, " shocks"]
 
-    def take(self, which: np.ndarray) -> Shocks:
-        """Return some of the shocks."""
-        return Shocks(*(leaf[which] for leaf in self))
-
-    def put(self, which: np.ndarray, others: Shocks) -> None:
-        """Replace some of the shocks, in place."""
-        for leaf, new in zip(self, others, strict=True):
-            leaf[which] = new
-
 
 def directions_in(dimension: int, count: int, seed: int) -> Float[np.ndarray, "directions d"]:
     """Return unit vectors: both ways along each coordinate, and in a plane evenly around, else random ones."""
@@ -94,22 +86,22 @@ def least_shocks(
         reach: longest length that is looked at, in sizes.
     """
     count, each = len(start.lane), len(directions)
-    every = start.take(np.repeat(np.arange(count), each))
+    every = select(start, np.repeat(np.arange(count), each))
     tried = _shocks(space, targets, lanes, every, np.tile(directions, (count, 1)), np.full(count * each, reach))
     group = np.unique(np.column_stack([tried.lane, tried.attractor]), axis=0, return_inverse=True)[1].ravel()
     order = np.lexsort((np.nan_to_num(tried.length, nan=np.inf), group))
     of_each = np.bincount(group)
-    best = tried.take(order[np.searchsorted(group[order], np.arange(len(of_each)))])
+    best = select(tried, order[np.searchsorted(group[order], np.arange(len(of_each)))])
     left = np.isfinite(best.length)
     for _ in range(_PASSES):
         if not left.any():
             break
-        refined = _refine(space, targets, lanes, best.take(left))
+        refined = _refine(space, targets, lanes, select(best, left))
         nearer = _in_front(space, targets, lanes, refined)
         strips = np.isfinite(nearer.length)
-        best.put(left, refined)
+        write_rows(best, left, refined)
         left[left] = strips
-        best.put(left, nearer.take(strips))
+        write_rows(best, left, select(nearer, strips))
     best.error[left] = np.inf  # a strip in front of each strip
     return best, of_each
 
@@ -142,7 +134,7 @@ def _shocks(
     )  # fmt: skip
     pairs = narrow(space, targets, lanes, pairs)
     good = (space.distance(pairs.near, pairs.far, pairs.lane) <= WIDTH) & (pairs.far_label != UNDECIDED)
-    crossing, pairs = crossing[good], Bracket(*(leaf[good] for leaf in pairs))
+    crossing, pairs = crossing[good], select(pairs, good)
     displacement, length, to = np.full((count, d), np.nan), np.full(count, np.nan), np.full(count, UNDECIDED)
     displacement[crossing] = space.batch.chart.wrap(pairs.far - start.base[crossing])
     length[crossing] = space.distance(pairs.far, start.base[crossing], pairs.lane)
@@ -211,7 +203,7 @@ def _in_front(space: Space, targets: Destinations, lanes: LaneRunner, best: Shoc
     nearer = Shocks(*map(np.array, best))._replace(length=np.full(count, np.nan))
     if len(known):
         directions = _directions(space, best)[known]
-        nearer.put(known, _shocks(space, targets, lanes, best.take(known), directions, reach[known]))
+        write_rows(nearer, known, _shocks(space, targets, lanes, select(best, known), directions, reach[known]))
     return nearer
 
 
@@ -229,7 +221,7 @@ def _shocks_along(
 ) -> Shocks:
     """Return the shocks in some directions from the point of each shock, about as long as it."""
     some = directions.shape[1]
-    each = best.take(np.repeat(np.arange(len(best.lane)), some))
+    each = select(best, np.repeat(np.arange(len(best.lane)), some))
     return _shocks(space, targets, lanes, each, directions.reshape(-1, directions.shape[2]), _BEYOND * each.length)
 
 

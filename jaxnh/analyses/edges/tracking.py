@@ -20,6 +20,7 @@ from jaxnh.analyses.manifolds.saddles import find_germs, parameters_of
 from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.section_points import points_after
 from jaxnh.orbits.shooting import orbits_from_afar
+from jaxnh.systems.rows import select, write_rows
 
 KINDS = ("none", "saddle_orbit", "equilibrium", "chaotic_saddle", "unsettled", "lost")
 """Meanings of the flags of the kind of an edge state."""
@@ -99,9 +100,8 @@ def _follow(
     states: EdgeStates,
 ) -> None:
     """Bring pairs together and carry them on until they are apart, in place."""
-    near = narrow(space, targets, lanes, Bracket(*(leaf[active] for leaf in pairs)))
-    for leaf, new in zip(pairs, near, strict=True):
-        leaf[active] = new
+    near = narrow(space, targets, lanes, select(pairs, active))
+    write_rows(pairs, active, near)
     lane = pairs.lane[active]
     lost = ~(space.distance(near.near, near.far, lane) <= 2 * WIDTH)
     both = _carry(space, lanes, np.concatenate([near.near, near.far]), np.tile(lane, 2))

@@ -17,12 +17,13 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import solve
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 _SLOW = 1e-6  # of the largest rate of a coordinate

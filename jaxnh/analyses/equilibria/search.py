@@ -22,6 +22,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.rows import select, write_rows
 
 _STEPS = 20  # of Newton
 _HELD_STEPS = 4  # of Newton, from a point that motions have come to
@@ -112,8 +113,7 @@ def _with_held(
         exponent = np.where(exists, np.log(largest) / batch.flow.period, np.nan)
     of_map = Equilibria(exists, exists & (largest < 1.0 - _ROUNDING), image, exponent)
     rows = np.flatnonzero(held)
-    for leaf, new in zip(equilibria, of_map, strict=True):
-        leaf[rows] = new[rows]
+    write_rows(equilibria, rows, select(of_map, rows))
     return equilibria
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.exponents.errors import change
 from jaxnh.analyses.exponents.period_parts import period_parts
 from jaxnh.analyses.exponents.tangent_growth import TangentState, advance_turns
@@ -21,6 +21,7 @@ from jaxnh.analyses.section_points import states_at
 from jaxnh.orbits.multipliers import eigenvalues
 from jaxnh.orbits.newton import Images, solve
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import LaneStates
 
 _LONGEST = 64  # period of an orbit that is looked for
@@ -46,10 +47,6 @@ class OrbitExponents(NamedTuple):
     lanes: Int[np.ndarray, " some"]
     logs: Float[np.ndarray, "some k"]
     error: Float[np.ndarray, "some k"]
-
-    def join(self, other: OrbitExponents) -> OrbitExponents:
-        """Concatenate two results."""
-        return OrbitExponents(*(np.concatenate(leaves) for leaves in zip(self, other, strict=True)))
 
 
 def no_orbits(k: int) -> OrbitExponents:

@@ -13,8 +13,6 @@ tangents are those across it, one fewer, and no section is needed.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +20,7 @@ import xarray as xr
 from jaxtyping import Bool, Int
 
 from jaxnh.analyses.base import Analysis, OptionError, Setting
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.exponents.errors import (
     Average,
@@ -58,6 +56,7 @@ from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.analyses.price import Price, PricedProgram, map_alone
 from jaxnh.analyses.smooth_window import DEGREE
+from jaxnh.systems.rows import concatenate, select, write_rows
 from jaxnh.systems.state import is_finite
 
 _ALIGNING = 8  # of this many parts of the transient, the last also turns the tangents into place
@@ -141,11 +140,11 @@ def averages(
     with lanes.stage(f"lyapunov: transient of {len(others)} lanes", len(others) * (options.transient - before)):
         left = max(settling - before, 0)
         if len(others):
-            _write_lanes(state, others, lanes.iterate(batch.strobe(), left, select((state, p), others)))
+            write_rows(state, others, lanes.iterate(batch.strobe(), left, select((state, p), others)))
         growth = lanes(begin, (batch.system,), (state,), static=(k,))
         if len(others):
             part, part_p = select((growth, p), others)
-            _write_lanes(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
+            write_rows(growth, others, average(lanes, strobes, part, part_p, aligning)[0])
     start = jax.tree.map(np.array, growth.state)
     growth = growth._replace(loss=tuple(np.zeros((lead + k, count))))  # of what is averaged alone
     rates = np.full((count, BLOCKS, lead + k + 2), np.nan)
@@ -161,7 +160,7 @@ def averages(
             for number, (after, rate) in zip(stretch, in_turn, strict=True):
                 rates[rows, number] = rate
                 smooth[rows] += smooth_parts(after, block, number)
-            _write_lanes(growth, running, in_turn[-1][0])
+            write_rows(growth, running, in_turn[-1][0])
             done[running] += len(stretch)
             if i == 0 and not to_the_end and _has_orbits(options, batch):
                 if early:
@@ -169,7 +168,8 @@ def averages(
                     settled = orbit_exponents(batch, lanes, growth, early.settled, orbits, parts)
                 # A chaotic lane whose tangent shrinks in this block is looked at as well, and goes on.
                 candidates = others[~(rates[others, 0, lead] > 0.0)]
-                settled = settled.join(find_orbits(batch, lanes, growth, candidates, parts, options.periods))
+                more = find_orbits(batch, lanes, growth, candidates, parts, options.periods)
+                settled = concatenate([settled, more])
                 running = _other_lanes(running, settled.lanes, count)
             if options.error and i + 1 >= BLOCKS // 4:
                 plain = average_blocks(rates[running, : i + 1, lead : lead + k])
@@ -194,12 +194,6 @@ def _other_lanes(
     among = np.zeros(count, bool)
     among[others] = True
     return lanes[~among[lanes]]
-
-
-def _write_lanes(whole: Any, lanes: Int[np.ndarray, " some"], part: Any) -> None:
-    """Write the values of a subset of lanes into those of all, in place."""
-    for leaf, moved in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
-        leaf[lanes] = moved
 
 
 def spectrum(options: LyapunovOptions, batch: LaneBatch, lanes: LaneRunner, averages: Averages, parts: int) -> Spectrum:

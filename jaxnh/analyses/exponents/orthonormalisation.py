@@ -13,6 +13,7 @@ from jaxnh.analyses.exponents.period_parts import cut_period, first_part, split_
 from jaxnh.analyses.exponents.tangent_growth import LARGEST_LOSS, LARGEST_SEEN, TangentState, average, begin
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.solvers import AdaptiveMethod
+from jaxnh.systems.rows import spread_indices
 from jaxnh.systems.state import is_finite
 
 _MOST_PARTS = 1024
@@ -26,7 +27,7 @@ _LOOKS = 64  # stretches of motion, at least, over which tangents of two numbers
 
 def _pilots(batch: LaneBatch) -> LaneBatch:
     """Return a sample of lanes across a sweep."""
-    return batch.take(np.unique(np.linspace(0, batch.count - 1, _PILOT_LANES).round().astype(int)))
+    return batch.take(spread_indices(batch.count, _PILOT_LANES))
 
 
 def parts_needed(batch: LaneBatch, lanes: LaneRunner, k: int, *, spare_last: bool = False) -> tuple[int, TangentState]:

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.batch import LaneRunner
 from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, tangents
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import concatenate, select
 
 _BLOCK = 64  # segments of a curve whose box is looked at first
 _CANDIDATES = 32  # for each crossing that is kept: an orbit crosses in every segment of the curves
@@ -49,16 +50,11 @@ class Crossings(NamedTuple):
     angle: Float[np.ndarray, " crossings"]
 
 
-def take(meetings: Meetings, which: np.ndarray) -> Meetings:
-    """Return some meetings."""
-    return Meetings(*(leaf[which] for leaf in meetings))
-
-
 def joined(parts: Sequence[Meetings]) -> Meetings:
     """Return meetings together."""
     if not parts:
         return Meetings(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), np.zeros(0))
-    return Meetings(*(np.concatenate(leaves) for leaves in zip(*parts, strict=True)))
+    return concatenate(parts)
 
 
 def crossing_segments(
@@ -79,7 +75,7 @@ def crossing_segments(
             arc = _interpolate(curve.arc, first, share) + _interpolate(other.arc, second, other_share)
             parts.append(Meetings(np.full(count, number), np.full(count, other_number), x, arc))
     every = joined(parts)
-    return take(every, np.argsort(every.arc, kind="stable")[: _CANDIDATES * most])
+    return select(every, np.argsort(every.arc, kind="stable")[: _CANDIDATES * most])
 
 
 def distinct_orbits(meetings: Meetings, curves: tuple[Curves, Curves], same: float = _SAME) -> Int[np.ndarray, " kept"]:

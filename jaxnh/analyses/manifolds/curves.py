@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.batch import LaneRunner, select
+from jaxnh.analyses.batch import LaneRunner
 from jaxnh.analyses.manifolds.saddles import Germs
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import derivatives, section_map
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import select
 
 ENDS = ("none", "length", "max_points", "settled", "lost")
 """Meanings of the flags of how a branch ends."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import BranchSet
 from jaxnh.analyses.manifolds.curves import LENGTH as WHOLE
 from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, positions, tangents
@@ -27,11 +27,11 @@ from jaxnh.analyses.manifolds.surfaces import (
     fitting,
     follow,
     grow_fans,
-    joined,
 )
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.iterate import return_time
 from jaxnh.systems.chart import general_directions
+from jaxnh.systems.rows import concatenate, select
 
 _TRIED, _SAMPLE = 64, 8  # parts, and motions of a rim, by which it is seen how many parts are needed
 _LEAST = 8  # parts of a return
@@ -158,7 +158,7 @@ def _parts(lanes: LaneRunner, growth: Growth, rims: Sequence[BranchRim]) -> list
     which = np.repeat(np.arange(len(rims)), [len(places) for places in few])
     if not len(which):
         return []
-    front = joined(rim.begin(places) for rim, places in zip(rims, few, strict=True))
+    front = concatenate(rim.begin(places) for rim, places in zip(rims, few, strict=True))
     points, _ = follow(lanes, growth, 1, which, front, _TRIED)
     longest = np.linalg.norm(np.diff(points, axis=1), axis=2)
     longest = np.max(longest, axis=1, where=np.isfinite(longest), initial=0.0)

@@ -23,7 +23,6 @@ from jaxnh.analyses.manifolds.crossings import (
     distinct_orbits,
     joined,
     refine_crossings,
-    take,
 )
 from jaxnh.analyses.manifolds.curves import ManifoldBranch, error_of_distance
 from jaxnh.analyses.manifolds.saddles import Saddles
@@ -35,6 +34,7 @@ from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.random_starts import check_box
 from jaxnh.analyses.trajectories.states import section_attrs
+from jaxnh.systems.rows import select
 
 _REACHED = 0.1  # of a unit of time, for a size: how fast motions of surfaces are, for the expected work
 _RETURNS = 24.0  # of a point of a branch, for the expected work
@@ -134,11 +134,11 @@ def _crossings(
     coarse, fine = ((grown[0].curves[k], grown[1].curves[k]) for k in (0, 1))
     refined = refine_crossings(lanes, coarse, seen, wrap)
     good = np.flatnonzero(np.isfinite(refined.angle))
-    good = good[distinct_orbits(take(refined.meetings, good), coarse)]
-    lane = _lane_of(take(refined.meetings, good), saddles, options.period)
+    good = good[distinct_orbits(select(refined.meetings, good), coarse)]
+    lane = _lane_of(select(refined.meetings, good), saddles, options.period)
     place = np.arange(len(lane)) - np.searchsorted(lane, lane)
     good, lane = good[place < options.crossings], lane[place < options.crossings]
-    kept = Crossings(take(refined.meetings, good), refined.points[good], refined.angle[good])
+    kept = Crossings(select(refined.meetings, good), refined.points[good], refined.angle[good])
     again = refine_crossings(lanes, fine, kept.meetings, wrap)
     moved = np.linalg.norm(wrap(again.points - kept.points) / size[lane], axis=1)
     # What is across either curve moves the point where they meet the further, the flatter their angle is.

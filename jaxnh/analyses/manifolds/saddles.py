@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.orbits.search import newton
 from jaxnh.analyses.periodic.newton_on_lanes import images
 from jaxnh.analyses.random_starts import Box, random_start_batch
@@ -19,6 +19,7 @@ from jaxnh.analyses.section_points import first_points, points_from
 from jaxnh.maps.family import Maps
 from jaxnh.orbits.recognition import equal_cycles
 from jaxnh.orbits.shooting import close_orbits
+from jaxnh.systems.rows import select
 
 _SCALES = 12  # of the distance of random starts from the middle, each half of the one before
 _NEUTRAL = 1e-6  # of ln |μ|: a manifold that grows more slowly is not followed

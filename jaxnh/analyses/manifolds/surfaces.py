@@ -9,15 +9,16 @@ methods by the Lorenz manifold).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.batch import LaneRunner, select
+from jaxnh.analyses.batch import LaneRunner
 from jaxnh.analyses.manifolds.motions import ORDER, Front, follow_motion
 from jaxnh.systems.flow import Flow
+from jaxnh.systems.rows import concatenate, select
 
 ENDS = ("none", "length", "max_points")
 """Meanings of the flags of how a surface ends."""
@@ -149,7 +150,7 @@ def _grow(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim], steps: int) ->
         which = np.repeat(np.arange(len(fans)), [len(places) for places in wanted])
         if not len(which):
             break
-        front = joined(rim.begin(places) for rim, places in zip(rims, wanted, strict=True) if len(places))
+        front = concatenate(rim.begin(places) for rim, places in zip(rims, wanted, strict=True) if len(places))
         points, error = follow(lanes, growth, steps, which, front, max(fan.parts for fan in fans))
         for number, fan in enumerate(fans):
             own = which == number
@@ -157,11 +158,6 @@ def _grow(lanes: LaneRunner, growth: Growth, rims: Sequence[Rim], steps: int) ->
                 fan.insert(wanted[number], points[own], error[own])
         wanted = [fan.wanted() for fan in fans]
     return fans
-
-
-def joined(fronts: Iterable[Front]) -> Front:
-    """Return motions of several rims together."""
-    return Front(*(np.concatenate(leaves) for leaves in zip(*fronts, strict=True)))
 
 
 def follow(

@@ -17,10 +17,11 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import BranchSet, Side
-from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined, take
+from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined
 from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, tangents
-from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, parameters_of
+from jaxnh.analyses.manifolds.saddles import Saddles, find_germs, parameters_of
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import select
 
 KEPT = 4
 """Tangencies of a lane that are kept, the nearest ones."""
@@ -61,7 +62,7 @@ class Tangencies(NamedTuple):
 
     def of(self, which: Int[np.ndarray, " some"]) -> Tangencies:
         """Return some of them."""
-        return Tangencies(take(self.meetings, which), self.value[which], self.error[which], self.unit[which])
+        return Tangencies(select(self.meetings, which), self.value[which], self.error[which], self.unit[which])
 
 
 def near_tangencies(
@@ -95,8 +96,8 @@ def near_tangencies(
             x = np.stack([own, _foot(other, near[at], middle[at], size)], axis=1)
             parts.append(Meetings(np.full(len(at), number), np.full(len(at), other_number), x, gap[at]))
     every = joined(parts)
-    every = take(every, np.argsort(every.arc, kind="stable")[: 16 * _CANDIDATES])
-    return take(every, distinct_orbits(every, curves, _ALIKE)[:_CANDIDATES])
+    every = select(every, np.argsort(every.arc, kind="stable")[: 16 * _CANDIDATES])
+    return select(every, distinct_orbits(every, curves, _ALIKE)[:_CANDIDATES])
 
 
 class _Ends(NamedTuple):
@@ -158,7 +159,7 @@ class _System(NamedTuple):
 
     def of(self, which: Int[np.ndarray, " some"]) -> _System:
         """Return the system of some of its meetings."""
-        return self._replace(meetings=take(self.meetings, which), probe=self.probe[which], unit=self.unit[which])
+        return self._replace(meetings=select(self.meetings, which), probe=self.probe[which], unit=self.unit[which])
 
     def ends(self, number: Int[np.ndarray, " some"], z: Float[np.ndarray, "some 3"]) -> _Ends:
         """Return the points at places and parameters, not numbers where there are none."""
@@ -171,7 +172,7 @@ class _System(NamedTuple):
             p = {**parameters_of(self.batch, lane), self.name: z[:, 2]}
             germs = find_germs(self.batch, self.lanes, strobe, p, self.saddles.points[saddle], size, side.backward)
             row = np.arange(len(number)) * n + point
-            germs = Germs(*(leaf[row] for leaf in germs))
+            germs = select(germs, row)
             sign = np.sign(np.sum(germs.directions * self.directions[k][branch], axis=1))
             germs = germs._replace(directions=sign[:, None] * germs.directions)
             curves = curves_of(strobe, p, germs, n, size, again=bool(self.which))

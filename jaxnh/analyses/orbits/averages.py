@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
@@ -20,6 +19,7 @@ from jaxnh.analyses.orbits.measurement import return_times
 from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.orbits.tables import AVERAGES, LaneOrbits
 from jaxnh.analyses.periodic.location import refined_maps
+from jaxnh.systems.rows import concatenate
 
 _QUANTITIES = (
     "escape rate, minus the leading zero of the zeta function",
@@ -75,7 +75,7 @@ def _averages_of_lane(
     parts = [_weights(part, lane, n, places, missing[n - 1]) for n in part.measured]
     if not parts:
         return UNKNOWN
-    known: _Weights = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    known = concatenate(parts)
     if not known.unstable.all():
         return UNKNOWN
     cycles = known.cycles

@@ -18,13 +18,14 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from jaxnh.analyses.base import LANE, Entry, flag, number_variable, variable
-from jaxnh.analyses.batch import LaneRunner, select
+from jaxnh.analyses.batch import LaneRunner
 from jaxnh.analyses.orbits.scenarios import SCENARIOS, CarrierChart, scenarios
 from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.orbits.tables import LaneOrbits, gather, rows_of
 from jaxnh.analyses.orbits.unstable_leaves import is_beside, leaf_distances
 from jaxnh.analyses.periodic.location import refined_maps
 from jaxnh.maps.iterate import section_map
+from jaxnh.systems.rows import select
 
 PLACES = ("unknown", "inside", "outside", "undecided")
 """Meanings of the flags 0 to 3 of `place`."""

@@ -26,6 +26,7 @@ from jaxnh.maps.section import Section
 from jaxnh.orbits.recognition import Cycles, equal_cycles, merge_cycles, no_cycles, primitive_period
 from jaxnh.orbits.shooting import Period, orbits_from_afar
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import concatenate
 from jaxnh.systems.state import State
 
 WINDOWS = 16
@@ -108,14 +109,9 @@ def search_neighbours(
                     more.setdefault(new.points.shape[1], []).append(new)
         before = {n: len(orbits.lane) for n, orbits in cycles.items()}
         for n, parts in more.items():
-            cycles[n] = merge_cycles(cycles[n], joined(parts), known.size, wrap, sample=False)
+            cycles[n] = merge_cycles(cycles[n], concatenate(parts), known.size, wrap, sample=False)
         fresh = {n: np.arange(before[n], len(orbits.lane)) for n, orbits in cycles.items()}
     return known._replace(cycles=cycles)
-
-
-def joined(parts: Sequence[Cycles]) -> Cycles:
-    """Return orbits of one number of returns together."""
-    return Cycles(*(np.concatenate(leaves) for leaves in zip(*parts, strict=True)))
 
 
 def map_of_lanes(batch: LaneBatch, lanes: LaneRunner, strobe: Maps) -> Period:
@@ -193,7 +189,7 @@ def _round(
         if len(lane):
             for cycles in newton(batch, lanes, strobe, points, lane, size):
                 by_returns.setdefault(cycles.points.shape[1], []).append(cycles)
-    return {n: joined(parts) for n, parts in by_returns.items()}
+    return {n: concatenate(parts) for n, parts in by_returns.items()}
 
 
 def _random_paths(

@@ -13,13 +13,14 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.base import OptionError
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
-from jaxnh.analyses.orbits.search import Search, joined, newton
+from jaxnh.analyses.orbits.search import Search, newton
 from jaxnh.analyses.section_points import points_at, states_at
 from jaxnh.maps.family import Maps
 from jaxnh.maps.section import Crossing
 from jaxnh.orbits.recognition import Cycles, equal_cycles, merge_cycles
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.reversal import component_names, signed_names
+from jaxnh.systems.rows import concatenate
 
 
 def check_signs(flow: Flow, names: Sequence[str]) -> None:
@@ -46,7 +47,7 @@ def add_images(known: Search, batch: LaneBatch, lanes: LaneRunner, strobe: Maps,
             new for new in newton(batch, lanes, strobe, turned, orbits.lane, known.size) if new.points.shape[1] == n
         ]
         if more:
-            cycles[n] = merge_cycles(orbits, joined(more), known.size, wrap, sample=False)
+            cycles[n] = merge_cycles(orbits, concatenate(more), known.size, wrap, sample=False)
         count, turned = len(cycles[n].lane), _images(cycles[n].points, batch, lanes, names)
         lane = np.tile(cycles[n].lane, 2)
         label = equal_cycles(lane, np.concatenate([cycles[n].points, turned]), known.size[lane], wrap)[count:]

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.periodic.halved_periods import NEARLY_NEUTRAL, stable_halves
 from jaxnh.analyses.periodic.newton_on_lanes import (
     CONVERGED,
@@ -35,6 +35,7 @@ from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import find_doubled
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import select, write_rows
 from jaxnh.systems.state import State
 
 _SMALLEST = 1e-4  # of the size at the start: branches, followed to 1e-9 of a size, then are so to hundreds of roundings
@@ -188,8 +189,7 @@ def _survey_late(
             break
         active = active[left]
         part, ends = _survey_at(batch.take(active), lanes, ends[left], timing, label, least, only_doublings, tile)
-        for whole, new in zip(survey, part, strict=True):
-            whole[active] = new
+        write_rows(survey, active, part)
     return survey
 
 
@@ -242,8 +242,7 @@ def _survey_at(
         if len(shorter):
             subset = lanes_settled[shorter]
             turned = orbits(lanes, strobe, exact.u[shorter], select(p, subset), shortest[shorter], size[subset])
-            for whole, part in zip(exact, turned, strict=True):
-                whole[shorter] = part
+            write_rows(exact, shorter, turned)
         period[lanes_settled], point[lanes_settled] = shortest, exact.u
         residual[lanes_settled], monodromy[lanes_settled] = exact.residual, exact.monodromy
         multiplier[lanes_settled] = largest[settled]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.batch import LaneRunner, select
+from jaxnh.analyses.batch import LaneRunner
 from jaxnh.analyses.periodic.newton_on_lanes import CONVERGED, largest_multiplier, orbits, section_distance
 from jaxnh.analyses.periodic.recurrences import CLOSE
 from jaxnh.maps.family import Maps
 from jaxnh.orbits.newton import Orbit
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import select
 
 NEARLY_NEUTRAL = 1e-3
 """|1 − μ| below which an orbit of even period may be one that has just been born in a doubling, or is about to be."""

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnh.analyses.batch import LaneRunner, select
+from jaxnh.analyses.batch import LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits.multipliers import eigenvalues
@@ -20,6 +19,7 @@ from jaxnh.orbits.newton import Images, Orbit, find_doubled, find_orbits, solve
 from jaxnh.orbits.newton_program import MOST_COORDINATES, find_least_period, find_orbit
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import concatenate, select
 
 CONVERGED = 1e-7
 """Largest residual of an orbit on which Newton has converged, in sizes of the motion."""
@@ -60,7 +60,7 @@ def orbits(
     order = np.argsort(n, kind="stable")
     short, long = order[n[order] <= _SHORT], order[n[order] > _SHORT]
     groups = [(lane, tile) for lane, tile in ((short, ORBIT_TILE), (long, _LONG_TILE)) if len(lane)]
-    orbits_by_group = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(of(*group) for group in groups))
+    orbits_by_group = concatenate(of(*group) for group in groups)
     return select(orbits_by_group, np.argsort(np.concatenate([lane for lane, _ in groups])))
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.periodic.location import LocatedDoubling, refined_maps
 from jaxnh.analyses.periodic.newton_on_lanes import ORBIT_TILE, images
 from jaxnh.maps.family import Maps, ParameterFamily
@@ -36,6 +36,7 @@ from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.orbits.shooting import close_orbits
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import select
 
 ROUNDING = 16.0 * np.finfo(float).eps
 """Rounding of a derivative, relative to it: of the sums and quotients that it is made of."""

@@ -64,6 +64,7 @@ from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.backward_motion import check_invertible
 from jaxnh.systems.readout import status
 from jaxnh.systems.reversal import declared_reversal, describe_reversal
+from jaxnh.systems.rows import select
 
 KINDS = ("conservative", "dissipative", "mixed", "undecided", "irreversible", "failed")
 """Meanings of the flags 0 to 5 of `kind`."""
@@ -143,7 +144,7 @@ def run(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     in_time = replace(batch.without_section(), steps=chosen.get("refinement", 1) * batch.steps)
     of_exponents, parts = _of_exponents(options, batch), chosen["parts"]
     forward = of_attractor(of_exponents, in_time, lanes, parts)
-    last = images(batch, lanes, reversal, jax.tree.map(lambda leaf: leaf[:, -1], states))
+    last = images(batch, lanes, reversal, select(states, np.s_[:, -1]))
     backward = of_repeller(of_exponents, in_time, lanes, parts, last, half)
     compared = compare_sets(batch, lanes, points, mirrored, _resolution(batch, forward, options.strobes))
     ended = np.asarray(reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], states))["status"].data)

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from jaxnh.analyses.base import LANE, Entry, OptionError, number_variable, variable
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner, iterate_units
 from jaxnh.analyses.coordinates import named_points
 from jaxnh.analyses.reversal.involution import NONE, choose_reversal, image_of_point, reversal_of
 from jaxnh.analyses.table_arrays import padded, real_and_imaginary
@@ -34,6 +34,7 @@ from jaxnh.maps.section import System
 from jaxnh.orbits.multipliers import multipliers
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.reversal import Reversal, describe_reversal
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import Vector
 
 _STARTS = 256  # of Newton in every lane, for each number of returns

@@ -52,6 +52,7 @@ from jaxnh.analyses.section_points import states_after
 from jaxnh.analyses.trajectories.poincare import recording_program
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.maps.section import outputs, plot_plane, reports
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 KINDS = ("locked", "unlocked", "unconverged", "no_rotation", "undecided", "failed")
@@ -131,9 +132,9 @@ def _with_errors_of_steps(
     if not len(open_):
         return average
     count, few, error = options.periods // 2, batch.take(open_), average.error.copy()
-    coarse = jax.tree.map(lambda leaf: leaf[open_, : count + 1], states)
+    coarse = select(states, np.s_[open_, : count + 1])
     with lanes.stage(f"rotation: {len(open_):,} lanes by twice the steps", len(open_) * count):
-        begin = jax.tree.map(lambda leaf: leaf[:, 0], coarse)
+        begin = select(coarse, np.s_[:, 0])
         fine = lanes.record(batch.strobe(2), count, (begin, dict(few.p)))
     fine = jax.tree.map(lambda first, rest: np.concatenate([first[:, None], rest], axis=1), begin, fine)
     with np.errstate(invalid="ignore", over="ignore"):

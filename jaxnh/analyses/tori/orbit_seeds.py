@@ -19,6 +19,7 @@ from jaxnh.analyses.section_points import at_rest, first_points, points_from
 from jaxnh.analyses.tori.tori import TurningMotions
 from jaxnh.orbits.recognition import primitive_period
 from jaxnh.orbits.shooting import orbits_from_afar
+from jaxnh.systems.rows import spread_indices
 
 _LANES = 9  # evenly over those that have settled on no orbit
 _FARTHEST = 100.0  # sizes of the motion: orbits further out are none of this motion
@@ -39,7 +40,7 @@ def orbits_within_motions(
     unsettled = np.flatnonzero(settled.period == 0)
     if not len(unsettled):
         return []
-    places = np.unique(np.linspace(0, len(unsettled) - 1, min(_LANES, len(unsettled))).round().astype(int))
+    places = spread_indices(len(unsettled), _LANES)
     sample = batch.take(unsettled[places])
     u, values = motions.u[unsettled[places]], sample.first_axis.values
     size, wrap = motion_unit([batch], lanes, settled.period, settled.size, {}), batch.chart.wrap

@@ -21,6 +21,7 @@ from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.arclength import Family
 from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, Solution
 from jaxnh.orbits.continuation.paths import COLLAPSED, NO_CONVERGENCE, START, UNRESOLVED, Path, StepControl
+from jaxnh.systems.rows import spread_indices
 
 _FIRST_HARMONICS = 8  # of a curve beside a Neimark–Sacker point
 _AMPLITUDES = 0.02, 0.005, 0.08, 0.002  # natural ones, of curves that Newton begins with beside such a point
@@ -271,7 +272,7 @@ def is_on_branch(family: Family, branch: TorusBranch, torus: Torus) -> bool:
 
 def is_part(family: Family, part: TorusBranch, branch: TorusBranch) -> bool:
     """Return whether all of a branch of tori, as far as a few of them tell, is on another."""
-    places = np.linspace(0, len(part.tori) - 1, _COMPARED).round().astype(int)
+    places = spread_indices(len(part.tori), _COMPARED)
     return part.iterates == branch.iterates and all(is_on_branch(family, branch, part.tori[k]) for k in places)
 
 

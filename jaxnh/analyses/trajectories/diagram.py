@@ -42,6 +42,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import begin
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import concatenate, select
 from jaxnh.systems.state import State
 
 _CARRIED_AT_ONCE = 32  # values that a call carries a state along at most: the steps of the progress shown
@@ -165,8 +166,7 @@ def _carry_in_turn(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner)
             static=(options.strobes,),
         )
         met.append(states)
-    back = np.argsort(order)
-    return jax.tree.map(lambda *components: np.concatenate(components, axis=1)[0, back], *met)
+    return select(concatenate(met, axis=1), (0, np.argsort(order)))
 
 
 def _carry_through_flows(
@@ -182,9 +182,8 @@ def _carry_through_flows(
         start, strobe = _advance_to_phase(options, at_value, lanes, state, p)
         state = settle_lanes(lanes, strobe, options.transient, state if met else start, p, tile=1)
         met.append(strobe_states(lanes, strobe, state, p, options.strobes, tile=1))
-        state = jax.tree.map(lambda component: component[:, -1], met[-1])
-    back = np.argsort(order)
-    return jax.tree.map(lambda *components: np.concatenate(components)[back], *met)
+        state = select(met[-1], np.s_[:, -1])
+    return select(concatenate(met), np.argsort(order))
 
 
 def _advance_to_phase(

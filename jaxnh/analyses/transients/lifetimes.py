@@ -18,6 +18,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.intervals import binomial_interval
 from jaxnh.analyses.random_starts import Box
 from jaxnh.maps.section import outputs
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 _FIRST, _AT_ONCE = 8, 64  # periods of the first call, and of later ones at most: most motions leave early
@@ -63,7 +64,7 @@ def lifetimes(batch: LaneBatch, lanes: LaneRunner, region: Box, most: int) -> Li
         out = ~is_inside(part, region, states)
         gone = out.any(axis=1)
         periods[left[gone]], escaped[left[gone]] = done + 1 + np.argmax(out[gone], axis=1), True
-        state = jax.tree.map(lambda leaf, stays=~gone: leaf[stays, -1], states)
+        state = select(states, (~gone, -1))
         left, done = left[~gone], done + count
     return Lifetimes(periods, escaped)
 

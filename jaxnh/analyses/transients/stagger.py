@@ -19,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnh.analyses.batch import LaneBatch, LaneRunner, select
+from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.random_starts import Box
 from jaxnh.analyses.section_points import on_constraints, points_after, points_at, states_at
 from jaxnh.analyses.transients.lifetimes import is_inside, lifetimes
 from jaxnh.analyses.transients.saddle import longest
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 WALKERS = 16

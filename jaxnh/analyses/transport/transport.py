@@ -44,6 +44,7 @@ from jaxnh.maps.section import outputs, reports
 from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.readout import UNSAID, status
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 GROWTH = ("bounded", "growing", "decaying", "undecided", "failed")
@@ -113,7 +114,7 @@ def _record(
             quantities.setdefault(name, []).append(np.asarray(values))
             words[name] = attrs["long_name"]
         places.append(_places(batch.flow, states, path))
-        state = jax.tree.map(lambda leaf: leaf[:, -1], states)
+        state = select(states, np.s_[:, -1])
     ended = reports(batch.flow, _as_path(state))["status"].data
     record = {name: (np.concatenate(parts, axis=1), words[name]) for name, parts in quantities.items()}
     return record, np.concatenate(places, axis=-1), np.asarray(ended)

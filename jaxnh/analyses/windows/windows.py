@@ -39,6 +39,7 @@ from jaxnh.orbits.continuation.branches import follow_both_ways
 from jaxnh.orbits.continuation.core import FINE
 from jaxnh.orbits.continuation.kinds import KINDS
 from jaxnh.orbits.continuation.paths import StepControl
+from jaxnh.systems.rows import concatenate
 
 _DOUBLED = 4  # times max_period: lanes of orbits up to this period are seen, as those of doublings are
 _REACH = 3.0  # distances from the first doubling to where they end that a crisis is looked for beyond; it is near one
@@ -147,7 +148,7 @@ def _doublings(
         PeriodScan(np.array([at]), np.zeros(1, int), window.inside.u)
         for at in (window.beyond, line.value[-1 if up else 0])
     ]
-    start = PeriodScan(*(np.concatenate(leaves) for leaves in zip(window.inside, no_orbit[0], strict=True)))
+    start = concatenate([window.inside, no_orbit[0]])
     with lanes.stage(f"windows: doublings of period {window.period}", 0):
         return follow_line(batch, lanes, start.joined(others).joined(no_orbit[1]), levels, size)
 

@@ -28,6 +28,7 @@ from jaxnh.maps.section import flow_of
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.solvers.runge_kutta import WrittenOutRungeKutta
+from jaxnh.systems.rows import spread_indices
 
 SAMPLED_LANES = 1024
 """Lanes of a sweep that a calibration looks at, at most."""
@@ -255,8 +256,8 @@ class Calibration:
             return plan
         if not self._maps.sectioned and (own := self._own_plan(plan.solver.total_kicks(plan.steps))):
             return own
-        picked = np.unique(np.linspace(0, len(self._start.row) - 1, _REHEARSING).round().astype(int))
-        few, steps, periods = self._start.take_lanes(picked), plan.steps, min(periods, MOST_REHEARSED)
+        few = self._start.take_lanes(spread_indices(len(self._start.row), _REHEARSING))
+        steps, periods = plan.steps, min(periods, MOST_REHEARSED)
         while are_lost_by(self._maps, few, plan.solver, steps, periods):
             if 2 * steps > plan.solver.most_steps(MOST_KICKS):
                 self._maps.tell(f"even {steps:,} steps lose a lane in {periods:,} periods; such lanes are marked")

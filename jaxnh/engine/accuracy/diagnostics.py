@@ -24,6 +24,7 @@ from jaxnh.engine.accuracy.sizes import coordinate_names
 from jaxnh.maps.section import Section, System, flow_of
 from jaxnh.systems.degeneracy import describe_near_singularity, describe_singularity
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.rows import select, spread_indices
 from jaxnh.systems.state import State, is_finite
 from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 
@@ -90,7 +91,7 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
     if why := describe_near_singularity(flow, times, passed, p):
         return why
     if not np.all(finite := is_finite(passed)):
-        fastest = _fastest_rate(flow, times[:1], jax.tree.map(lambda leaf: leaf[:1], passed), p)
+        fastest = _fastest_rate(flow, times[:1], select(passed, slice(1)), p)
         if fastest * (times[1] - times[0]) > _UNSTABLE:  # of the steps that are to show the motion, and no fault of it
             return f"{_stiff(flow, fastest * flow.period)}; slow down what is fast in it, or ask for less"
         _, finer_times, finer, _ = _motion_of(maps, sample, length, _FINER * _ROUGHLY)
@@ -134,8 +135,8 @@ def explain_rounding(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray,
 
 def _explain_rates(maps: SampleMaps, flow: Flow, times: np.ndarray, passed: State, p: Parameters) -> str:
     """Explain an error by rates on a motion that the most steps do not follow; "" where these do."""
-    picked = np.linspace(0, len(times) - 1, _LOOKED_AT).round().astype(int)
-    fastest = _fastest_rate(flow, times[picked], jax.tree.map(lambda leaf: leaf[picked], passed), p) * flow.period
+    picked = spread_indices(len(times), _LOOKED_AT)
+    fastest = _fastest_rate(flow, times[picked], select(passed, picked), p) * flow.period
     steps = max(1, maps.scheme.reference.most_steps(maps.tried))
     if fastest < _UNRESOLVED * steps:
         return ""
@@ -154,7 +155,7 @@ def _motion_of(
     system = maps.flows[int(sample.row[0])]
     flow = flow_of(system)
     length = flow.period / maps.parts if length is None else length
-    first = jax.tree.map(lambda leaf: leaf[0], sample)
+    first = select(sample, 0)
     state = first.states.state if maps.sectioned else first.states
     return flow, *_motion(flow, state, first.p, length, steps), first.p
 

@@ -20,6 +20,7 @@ from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.section import flow_of
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.rows import spread_indices
 from jaxnh.systems.state import State, error_components
 
 LANES_FOLLOWED = 8
@@ -96,7 +97,7 @@ def follow(maps: SampleMaps, samples: Samples, length: float | None = None) -> P
     Args:
         length: of time, by default a period or a unit of time.
     """
-    picked = np.unique(np.linspace(0, len(samples.row) - 1, LANES_FOLLOWED).round().astype(int))
+    picked = spread_indices(len(samples.row), LANES_FOLLOWED)
     few = samples.take_lanes(picked)
     if maps.sectioned:
         few = few._replace(states=few.states.state)

@@ -22,6 +22,7 @@ from jaxnh.engine.accuracy.sample_maps import image_of
 from jaxnh.systems.first_order import FirstOrder
 from jaxnh.systems.flow import Flow, Parameters
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 from jaxnh.systems.straight_pieces import names_without_surface
 from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
@@ -62,8 +63,7 @@ def find_kink(
     points = len(times) if np.all(finite) else int(np.argmin(finite))
     if points < 2:
         return None
-    begin = jax.tree.map(lambda leaf: leaf[: points - 1], passed)
-    end = jax.tree.map(lambda leaf: leaf[1:points], passed)
+    begin, end = select(passed, slice(points - 1)), select(passed, slice(1, points))
     ends = times[: points - 1], times[1:points], begin, end
 
     @partial(jax.jit, compiler_options=COMPILED_FOR_ONE_CALL)
@@ -98,7 +98,7 @@ def find_kink(
                 if isinstance(flow, FirstOrder)
                 else "make it smooth there"
             )
-            names = names_without_surface(flow.rhs, 0.0, jax.tree.map(lambda leaf: leaf[0], begin), dict(p))
+            names = names_without_surface(flow.rhs, 0.0, select(begin, 0), dict(p))
             without = f"steps cannot end where {join_words(names)} changes; " if names else ""
             return Kink(order + 1, f"the right-hand side {words} {where}: {without}{remedy}, or ask for less")
     return None
@@ -121,7 +121,7 @@ def _lasting_change(
 
     changes = np.nan_to_num(change(low, high, 1.0), posinf=0.0)
     picked = np.sort(np.argsort(-changes, kind="stable")[:_STEPS])
-    few = jax.tree.map(lambda leaf: leaf[picked], ends)
+    few = select(ends, picked)
     low, high, begin, width = low[picked], high[picked], np.zeros(len(picked)), 1.0
     for _ in range(_HALVINGS):
         width *= 0.5

@@ -22,6 +22,7 @@ from jaxnh.maps.time_tables import time_split
 from jaxnh.solvers import ADAPTIVE, AdaptiveMethod
 from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
+from jaxnh.systems.rows import select, spread_indices, write_rows
 
 _COUNTED = 16  # samples whose steps are counted
 _COMPARED = 32  # samples, of which own steps are least known, whose motions are compared with those of common ones
@@ -126,8 +127,7 @@ def spread_over_unit(maps: SampleMaps, reference: Reference, samples: Samples) -
             continue
         later = maps.by_flow(iterate, lambda row, n=ahead: (map_of(row), np.int32(n)), samples.take_lanes(those), ahead)
         finite = np.all(np.isfinite(image_of(later)), axis=0)
-        for leaf, new in zip(jax.tree.leaves(moved), jax.tree.leaves(later), strict=True):
-            leaf[those[finite]] = np.asarray(new)[finite]
+        write_rows(moved, those[finite], select(later, finite))
     return samples._replace(states=moved)
 
 
@@ -151,7 +151,7 @@ def _trials(maps: SampleMaps, samples: Samples, solver: AdaptiveMethod, steps: i
 
     Of the slowest lanes, for which the others of their tile wait.
     """
-    picked = samples.take_lanes(np.unique(np.linspace(0, len(samples.row) - 1, _COUNTED).round().astype(int)))
+    picked = samples.take_lanes(spread_indices(len(samples.row), _COUNTED))
     if maps.sectioned:
         picked = picked._replace(states=picked.states.state)
 

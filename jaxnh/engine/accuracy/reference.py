@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jaxnh.engine.accuracy.diagnostics import explain_motion, order_on_motion
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between
+from jaxnh.systems.rows import write_rows
 
 MOST_KICKS = 1 << 20
 """Evaluations of the field a period, at most."""
@@ -95,8 +96,7 @@ def refine_reference(
         gaps[active] = gaps_between(differences([leaf[active] for leaf in finest], finer), sizes)
         stalled[active] = np.where(gaps[active] < 0.5 * least[active], 0, stalled[active] + 1)
         least = np.minimum(least, gaps)
-        for leaf, new in zip(finest, finer, strict=True):
-            leaf[active] = new
+        write_rows(finest, active, finer)
         most = gaps[largest_at(gaps)]
         maps.tell(f"with {steps * solver.stages:,} evaluations of the field a period, references differ by {most:.1e}")
     return Reference(finest, gaps, steps * solver.stages, unresolved)

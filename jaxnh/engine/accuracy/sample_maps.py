@@ -19,6 +19,7 @@ from jaxnh.maps.section import Section, System, flow_of
 from jaxnh.solvers import AdaptiveMethod, Solver
 from jaxnh.solvers.adaptive import in_loop
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.rows import select, write_rows
 from jaxnh.systems.state import State, error_components
 
 Image = list[np.ndarray]
@@ -45,7 +46,7 @@ class Samples(NamedTuple):
 
     def take_lanes(self, subset: Int[np.ndarray, " subset"]) -> Samples:
         """Return a subset of the samples."""
-        return jax.tree.map(lambda leaf: leaf[subset], self)
+        return select(self, subset)
 
     def place(self, number: int) -> str:
         """Return where in the sweep a sample lies, in values of its axes."""
@@ -130,8 +131,7 @@ class SampleMaps:
                 return values
             if whole is None:
                 whole = jax.tree.map(lambda leaf: np.empty((len(samples.row), *leaf.shape[1:]), leaf.dtype), values)
-            for leaf, new in zip(jax.tree.leaves(whole), jax.tree.leaves(values), strict=True):
-                leaf[members] = new
+            write_rows(whole, members, values)
         return whole
 
     def image(self, maps: Callable[[int], ReturnMap], samples: Samples) -> Image:

@@ -24,6 +24,7 @@ from jaxnh.maps.section import Crossing, Section, System, flow_of
 from jaxnh.solvers import Solver
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
+from jaxnh.systems.rows import concatenate, select, spread_indices
 from jaxnh.systems.state import State, status_in_nan
 from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO, NO_RETURN, OUT_OF_STEPS
 
@@ -80,10 +81,7 @@ def take_samples(
         TooDearError: `pay` has raised it.
     """
     number = np.concatenate([np.full(len(jax.tree.leaves(row.start)[0]), i) for i, row in enumerate(rows)])
-    start, p, where = (
-        jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-        for parts in zip(*((row.start, dict(row.p), dict(row.where)) for row in rows), strict=True)
-    )
+    start, p, where = concatenate((row.start, dict(row.p), dict(row.where)) for row in rows)
     now = Samples(start, p, number, where)
     first = _seed_steps(maps, now)
     whole, changes, steps = _follow_from_start(maps, now, first, pay)
@@ -98,8 +96,7 @@ def take_samples(
     chosen = np.sort(np.argsort(-sensitive, axis=None, kind="stable")[:count])
     moving = chosen[~_at_rest(maps, whole).ravel()[chosen]]
     lane, time = np.divmod(moving if len(moving) else chosen, sensitive.shape[1])
-    taken = jax.tree.map(lambda leaf: leaf[lane], now)
-    taken = taken._replace(states=jax.tree.map(lambda leaf: leaf[lane, time], whole.states))
+    taken = now.take_lanes(lane)._replace(states=select(whole.states, (lane, time)))
     kept = _without_lost(maps, _without_turns(maps, taken), max(maps.scheme.first_steps, steps))
     return SamplePaths(kept, sensitive.size, sizes, now, steps > first)
 
@@ -178,7 +175,7 @@ def _follow_by(
         image = differences(maps.image(coarser, each), image_of(jax.tree.map(np.ravel, following)))
         apart.append(image.reshape(len(image), -1, _PERIODS))
         now = now._replace(states=met[-1])
-    whole = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *states)
+    whole = concatenate(states, axis=1)
     return whole, np.concatenate(apart, axis=2), now.states
 
 
@@ -197,7 +194,7 @@ def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: Stat
     if not np.any(lost):
         return -1
     lane = np.arange(len(when))
-    before, after = (jax.tree.map(lambda leaf, at=at: leaf[lane, at], every) for at in (when - 1, when))
+    before, after = (select(every, (lane, at)) for at in (when - 1, when))
     return _stays_finite(maps, start._replace(states=before), after, lost, _longest_return(maps, every))
 
 
@@ -215,8 +212,7 @@ def _lost_rank(maps: SampleMaps, start: Samples, states: State, lane: int) -> st
     """Explain what matrix is singular where a lane is lost; "" where none is."""
     finite = np.stack([np.isfinite(leaf[lane]) for leaf in jax.tree.leaves(states)]).all(axis=0)
     last = int(np.argmin(finite)) - 1
-    before = jax.tree.map(lambda leaf: leaf[lane, last], states)
-    p = jax.tree.map(lambda leaf: leaf[lane], dict(start.p))
+    before, p = select(states, (lane, last)), select(dict(start.p), lane)
     return lost_rank(maps.flows[int(start.row[lane])], before, p)
 
 
@@ -283,7 +279,7 @@ def _stays_finite(
     numbers = np.flatnonzero(lost)
     if not len(numbers):
         return -1
-    picked = numbers[np.unique(np.linspace(0, len(numbers) - 1, LANES_FOLLOWED).round().astype(int))]
+    picked = numbers[spread_indices(len(numbers), LANES_FOLLOWED)]
     arrived = follow(maps, samples.take_lanes(picked), length).arrived >= 1.0
     return int(picked[np.argmax(arrived)]) if np.any(arrived) else -1
 
@@ -352,7 +348,7 @@ def _without_lost(maps: SampleMaps, samples: Samples, steps: int) -> Samples:
 
 def _no_lane(maps: SampleMaps, samples: Samples) -> AccuracyError:
     """The error that no lane has a period, with what is seen of the reason; `LostLaneError` where steps may be it."""
-    first = jax.tree.map(lambda leaf: leaf[0], samples)
+    first = select(samples, 0)
     at = system, *_ = maps.flows[int(first.row)], first.states, first.p
     periods = system.longest if isinstance(system, Section) else 1.0
     why = fault_of(*at, first_look(maps, samples, periods).explanation)

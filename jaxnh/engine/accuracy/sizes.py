@@ -21,6 +21,7 @@ from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, image_
 from jaxnh.maps.section import Crossing, Section, System, flow_of
 from jaxnh.systems.definition import DefinedFlow
 from jaxnh.systems.flow import Flow, Parameters
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State, error_components
 
 _FIRST = 17  # periods on the way from the start, in which a motion may be larger than it is later
@@ -118,7 +119,7 @@ def _within_periods(
     """
     kept = np.flatnonzero(~np.all(escaping, axis=1))
     picked = paths.take_lanes(kept)
-    at = picked._replace(states=jax.tree.map(lambda leaf: leaf[np.arange(len(kept)), number[kept]], picked.states))
+    at = picked._replace(states=select(picked.states, (np.arange(len(kept)), number[kept])))
     if not len(kept):
         return np.zeros(len(coordinate_names(maps.flows[0]))), np.zeros(len(coordinate_names(maps.flows[0])))
     passage = follow(maps, at, length)

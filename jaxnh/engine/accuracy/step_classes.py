@@ -19,7 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnh.analyses.batch import select
 from jaxnh.engine.accuracy.calibration import LEFT_OUT, SAFETY, Plan
 from jaxnh.engine.accuracy.sample_maps import differences, gaps_between, image_of
 from jaxnh.engine.axes import SweepPoints
@@ -27,6 +26,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.protocol import ReturnMap, Tangent
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 _COARSEST = 12  # halvings of the steps, at most
@@ -187,7 +187,7 @@ class ClassSearch:
         each = select(p, np.repeat(np.arange(len(jax.tree.leaves(state)[0])), periods))
         image = self.lanes.iterate(self._map(halvings), 1, (before, each))
         gaps = self._error(image, jax.tree.map(np.ravel, met)).reshape(-1, periods)
-        return gaps, jax.tree.map(lambda leaf: leaf[:, -1], met)
+        return gaps, select(met, np.s_[:, -1])
 
     def _apart(self, first: int, second: int, state: State, p: Parameters) -> Float[np.ndarray, " lanes"]:
         images = [self.lanes.iterate(self._map(halvings), 1, (state, p)) for halvings in (first, second)]

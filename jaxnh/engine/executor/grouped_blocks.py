@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxnh.maps.family import TreeStack
+from jaxnh.systems.rows import select
 
 _LARGE, _SMALL = (32, 256), (16, 64)  # lanes of a block and of a tile: of programs for many lanes, and for few
 _FEW = 64  # lanes of a tile that is asked for where there are few
@@ -53,8 +54,7 @@ def group_into_blocks(group: Int[np.ndarray, " lanes"], lanes: tuple[Any, ...], 
     chosen, owner = chosen[first], owner[first]
     back = np.empty(len(group), int)
     back[chosen.ravel()[::-1]] = np.arange(chosen.size)[::-1]
-    moved = jax.tree.map(lambda leaf: leaf[chosen], lanes)
-    return Blocks(groups[owner].astype(np.int32), moved, back, size // block)
+    return Blocks(groups[owner].astype(np.int32), select(lanes, chosen), back, size // block)
 
 
 def evaluate_in_group(*arguments: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxnh.analyses.batch import Link, select
+from jaxnh.analyses.batch import Link
 from jaxnh.engine.executor.accounts import Accounts
 from jaxnh.engine.executor.grouped_blocks import evaluate_block, evaluate_in_group, group_into_blocks
 from jaxnh.engine.executor.programs import Programs
@@ -20,6 +20,7 @@ from jaxnh.engine.progress import NullProgress, Progress
 from jaxnh.engine.xla_options import machine
 from jaxnh.maps.family import Maps, ParameterFamily
 from jaxnh.maps.iterate import iterate, record
+from jaxnh.systems.rows import concatenate, select
 
 TILE = 256
 """Lanes a tile: large enough to hide what a kernel call costs, small enough for a core's first cache."""
@@ -232,10 +233,10 @@ class LaneExecutor:
         (state, p), parts = lanes, list[Any]()
         for n in _counts(count):
             states = self(record, (maps, np.int32(n)), (state, p), periods=n, tile=tile, static=(_ROOM,))
-            parts.append(jax.tree.map(lambda component, n=n: component[:, :n], states))
+            parts.append(select(states, np.s_[:, :n]))
             if len(parts) < len(_counts(count)):
-                state = jax.tree.map(lambda component: component[:, -1], parts[-1])
-        return jax.tree.map(lambda *components: np.concatenate(components, axis=1), *parts)
+                state = select(parts[-1], np.s_[:, -1])
+        return concatenate(parts, axis=1)
 
     def observe(
         self,
@@ -261,7 +262,7 @@ class LaneExecutor:
         results = self.chain(links, lanes, tile=tile)[1::2]
         end, values = results[-1]
         if len(results) > 1:
-            values = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *(part for _, part in results))
+            values = concatenate((part for _, part in results), axis=1)
         return values, end
 
     def summarise(
@@ -317,8 +318,7 @@ class LaneExecutor:
             lanes = select(_without_family(family, call.lanes), where)
             results.append(self._run(call._replace(links=own, lanes=lanes)))
             order.append(where)
-        back = np.argsort(np.concatenate(order))
-        return jax.tree.map(lambda *parts: np.concatenate(parts)[back], *results)
+        return select(concatenate(results), np.argsort(np.concatenate(order)))
 
     def _run(self, call: Call) -> list[Any]:
         """Results of a call without families."""
@@ -328,7 +328,7 @@ class LaneExecutor:
             self.accounts.lane_periods += done
             self.progress.advance(done)
             results.append(tile.each)
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
+        return concatenate(results)
 
     def _in_blocks(self, call: Call, family: ParameterFamily[Any], group: np.ndarray) -> list[Any]:
         """Lanes of several values of a family, block by block through one program."""

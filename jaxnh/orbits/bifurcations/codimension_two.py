@@ -29,6 +29,7 @@ from jaxnh.orbits.continuation.curves import (
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, NEIMARK_SACKER
 from jaxnh.orbits.continuation.tracks import across_chord
 from jaxnh.orbits.multipliers import angle_cosine, multipliers
+from jaxnh.systems.rows import write_rows
 
 POINTS = (
     "cusp",
@@ -223,8 +224,7 @@ def _cubic(plane: ParameterPlane, kind: int, track: Solution) -> Cubic:
         form = cubic(family, orbits.take(subset), np.full(len(subset), kind))
     missing = np.full(lanes, np.nan)
     whole = Cubic(missing, missing.copy(), np.zeros(lanes, int), np.zeros(points.shape, complex))
-    for leaf, part in zip(whole, form, strict=True):
-        leaf[subset] = part
+    write_rows(whole, subset, form)
     return whole
 
 

@@ -18,6 +18,7 @@ from numpy.polynomial import polynomial
 from jaxnh.orbits import cyclic
 from jaxnh.orbits.shooting import Period, ShootingOrbits, close_orbits
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import select
 
 FEIGENBAUM = 4.669201609102990
 """Ratio δ of successive distances between doublings, far down a cascade; here it only says where to look."""
@@ -101,7 +102,7 @@ def follow_branch(
             reach /= _AHEAD
             continue
         values, known = np.append(values, ahead[:count]), np.concatenate([known, orbits.points[:count]])
-        beyond = np.flatnonzero(doubling_function(ShootingOrbits(*(leaf[:count] for leaf in orbits))) <= 0.0)
+        beyond = np.flatnonzero(doubling_function(select(orbits, slice(count))) <= 0.0)
         if len(beyond):
             last = len(values) - count + int(beyond[0])
             low, high = values[last - 1], values[last]

@@ -36,8 +36,8 @@ from jaxnh.orbits.continuation.equilibrium_curves import (
     double_zero,
 )
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF
-from jaxnh.orbits.continuation.paths import concatenated
 from jaxnh.orbits.continuation.tracks import across_chord
+from jaxnh.systems.rows import concatenate
 
 _ROUNDS = 16
 _NARROWER = 64  # from round to round, where the polynomial has a sharp root
@@ -104,7 +104,7 @@ def ended_at_points(plane: FieldPlane, curve: Curve, points: Sequence[Equilibriu
     kept = np.flatnonzero(EigenvectorEquations(plane, HOPF).split(curve.track.z).square > _BEGUN)
     first = [point.solution for point in ends if point.point.place < kept[0]]
     last = [point.solution for point in ends if point.point.place >= kept[0]]
-    whole = concatenated([*first[:1], curve.track.take(kept), *last[:1]])
+    whole = concatenate([*first[:1], curve.track.take(kept), *last[:1]])
     return curve_of(plane, HOPF, whole, curve.ends)
 
 

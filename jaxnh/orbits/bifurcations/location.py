@@ -28,6 +28,7 @@ from jaxnh.orbits.continuation.kinds import (
 )
 from jaxnh.orbits.continuation.paths import COLLAPSED, NEAR
 from jaxnh.orbits.multipliers import multipliers
+from jaxnh.systems.rows import select, write_rows
 
 NODES = np.cos(np.pi * (np.arange(6) + 0.5) / 6)
 """Chebyshev nodes of [−1, 1]."""
@@ -157,7 +158,7 @@ def locate(
     rounds, start = np.zeros(count, int), np.full(count, half)
     along, widths, open_ = _cubics(stretch) if near is None else near.nodes, np.full(count, half), np.arange(count)
     for number in range(_ROUNDS + _CLOSER):
-        part, of_part = (jax.tree.map(lambda leaf, o=open_: leaf[o], tree) for tree in (stretch, along))
+        part, of_part = select((stretch, along), open_)
         shares = share[open_, None] + widths[open_, None] * NODES
         nodes = _orbits(family, part, shares, of_part)
         values = nodes.value.reshape(shares.shape)
@@ -204,10 +205,9 @@ def locate_near(family: Family, stretch: Brackets, near: BifurcationPoints) -> B
         left = np.flatnonzero(~located.exists)
         if not len(left):
             break
-        part, near_part = (jax.tree.map(lambda leaf, k=left: leaf[k], whole) for whole in (stretch, near))
+        part, near_part = select((stretch, near), left)
         again = locate(family, part, near_part, half)
-        for leaf, new in zip(jax.tree.leaves(located), jax.tree.leaves(again), strict=True):
-            leaf[left] = new
+        write_rows(located, left, again)
     return located
 
 
@@ -274,11 +274,10 @@ def _orbits(family: Family, stretch: Brackets, share: Float[np.ndarray, "some k"
     # says whether it has gone over to another curve.
     left = np.flatnonzero(~orbits.converged)
     if len(left):
-        points, value, across, near = jax.tree.map(lambda leaf: leaf[left], (*guess, across, near))
+        points, value, across, near = select((*guess, across, near), left)
         again = correct(family, points, value, across, FINE, _OUT * near)
         again = again._replace(converged=again.converged & (again.missed <= near))
-        for leaf, new in zip(jax.tree.leaves(orbits), jax.tree.leaves(again), strict=True):
-            leaf[left] = new
+        write_rows(orbits, left, again)
     return orbits
 
 
@@ -288,7 +287,7 @@ def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some
     cross = np.flatnonzero(stretch.kind == BRANCH_POINT)
     if not len(cross):
         return orbits
-    part, of_part = (jax.tree.map(lambda leaf: leaf[cross], tree) for tree in (stretch, along))
+    part, of_part = select((stretch, along), cross)
     beside = _orbits(family, part, share[cross, None] + _BESIDE, of_part)
     points = beside.points.reshape(len(cross), len(_BESIDE), *beside.points.shape[1:])
     middle = np.sum(points * _BETWEEN[:, None, None], axis=1)
@@ -296,8 +295,7 @@ def _at_roots(family: Family, stretch: Brackets, share: Float[np.ndarray, " some
     chord = times(1.0 / length(family, part.chord), part.chord)
     crossings = correct(family, middle, value, chord, np.inf)
     crossings = crossings._replace(converged=crossings.converged & beside.converged.reshape(len(cross), -1).all(axis=1))
-    for leaf, new in zip(jax.tree.leaves(orbits), jax.tree.leaves(crossings), strict=True):
-        leaf[cross] = new
+    write_rows(orbits, cross, crossings)
     return orbits
 
 

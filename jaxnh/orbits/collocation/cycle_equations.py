@@ -30,11 +30,11 @@ from jaxnh.orbits.collocation.equations import (
     step_of,
 )
 from jaxnh.orbits.collocation.floquet import cycle_multipliers
-from jaxnh.orbits.collocation.newton import take
 from jaxnh.orbits.collocation.paths import PiecewisePath, adapted_mesh, interpolation_errors, on_mesh, values_at
 from jaxnh.orbits.continuation import core
 from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, LinearSolution, Solution
 from jaxnh.orbits.continuation.paths import CLOSED, COLLAPSED, INFINITE_PERIOD, UNBOUNDED
+from jaxnh.systems.rows import select
 
 _RESOLVED = 1e-4  # error of a multiplier, relative to it or absolute where it is small, at which meshes are fine enough
 _SMOOTH = 1e-5  # error of polynomials within intervals, likewise
@@ -199,7 +199,9 @@ class CollocationEquations(EquationsOfPaths):
         values, errors = cycle_multipliers(self._problem, solution, blocks, divergence)
         bends = interpolation_errors(solution.path, self._problem.size)
         return [
-            CyclePoint(take(solution, [k]), take(way, [k]), values[k], errors[k], bends[k], float(orbits.residual[k]))
+            CyclePoint(
+                select(solution, [k]), select(way, [k]), values[k], errors[k], bends[k], float(orbits.residual[k])
+            )
             for k in range(len(values))
         ]
 

@@ -19,8 +19,9 @@ from jaxnh.orbits.collocation.equations import (
     linearise,
 )
 from jaxnh.orbits.collocation.floquet import cycle_multipliers
-from jaxnh.orbits.collocation.newton import BoundaryOf, correct, on_adapted_mesh, put, take
+from jaxnh.orbits.collocation.newton import BoundaryOf, correct, on_adapted_mesh
 from jaxnh.orbits.collocation.paths import halved, on_mesh
+from jaxnh.systems.rows import select, write_rows
 
 _MOST = 6400  # intervals of a mesh
 _OF_MULTIPLIERS = 100.0
@@ -104,9 +105,9 @@ def solve_cycles(
         good = part.converged & (np.max(errors, axis=0) <= tolerance)
         again = ~good & (4 * n <= most)
         for k in np.flatnonzero(~again).tolist():
-            cycles[int(open_[k])] = take(part, slice(k, k + 1))
-        put(guess, np.flatnonzero(part.converged), take(coarse, part.converged))
-        guess, open_ = take(guess, again), open_[again]
+            cycles[int(open_[k])] = select(part, slice(k, k + 1))
+        write_rows(guess, np.flatnonzero(part.converged), select(coarse, part.converged))
+        guess, open_ = select(guess, again), open_[again]
         guess = guess._replace(path=on_mesh(guess.path, halved(guess.path.mesh)))
     return [cycles[lane] for lane in range(lanes)]
 
@@ -142,7 +143,7 @@ def _multipliers(problem: Problem, solution: BoundarySolution, boundary: Boundar
     values, errors = np.full((lanes, e), np.nan, complex), np.full((lanes, e), np.inf)
     finite = np.flatnonzero(np.isfinite(solution.path.stages).all(axis=(1, 2, 3)) & np.isfinite(solution.duration))
     if len(finite):
-        part = take(solution, finite)
+        part = select(solution, finite)
         line = linearise(problem, part, boundary(part, finite))
         values[finite], errors[finite] = cycle_multipliers(problem, part, line.blocks, line.divergence)
     return values, errors

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -23,14 +23,13 @@ from jaxnh.orbits.collocation.equations import (
     step_of,
 )
 from jaxnh.orbits.collocation.paths import adapted_mesh, on_mesh
+from jaxnh.systems.rows import concatenate, select, write_rows
 
 _STEPS = 40
 _QUADRATIC = 1e-6  # step, in sizes, after which one more reaches the rounding floor
 _LARGEST = 0.5  # step, likewise
 _STALLED = 4  # steps that may be longer than the one before, all together
 _REMESHINGS = 3
-
-Tree = TypeVar("Tree")
 
 BoundaryOf = Callable[[BoundarySolution, Int[np.ndarray, " lanes"]], BoundaryConditions]
 """Boundary conditions at solutions of lanes with these numbers."""
@@ -57,17 +56,6 @@ class NewtonSolution(NamedTuple):
     residual: Float[np.ndarray, " lanes"]
 
 
-def take(tree: Tree, lanes: Any) -> Tree:
-    """Return the entries of a subset of lanes."""
-    return jax.tree.map(lambda leaf: leaf[lanes], tree)
-
-
-def put(tree: Any, lanes: Int[np.ndarray, " some"], new: Any) -> None:
-    """Set the entries of a subset of lanes."""
-    for leaf, value in zip(jax.tree.leaves(tree), jax.tree.leaves(new), strict=True):
-        leaf[lanes] = value
-
-
 def correct(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hold: Hold) -> NewtonSolution:
     """The solutions near guesses.
 
@@ -89,7 +77,7 @@ def correct(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hol
     )
     converged, residual, open_ = np.zeros(lanes, bool), np.full(lanes, np.nan), np.arange(lanes)
     for _ in range(_STEPS):
-        part = take(solution, open_)
+        part = select(solution, open_)
         try:
             line = linearise(problem, part, boundary(part, open_))
             directions = [phase_condition(problem, line), *hold(line, open_)]
@@ -104,7 +92,7 @@ def correct(problem: Problem, guess: BoundarySolution, boundary: BoundaryOf, hol
         good = np.isfinite(length) & (stalled[open_] <= _STALLED)
         factor = np.where(length > _LARGEST, _LARGEST / length, 1.0)
         step = Variation(*(factor.reshape(-1, *[1] * (leaf.ndim - 1)) * leaf for leaf in step))
-        put(solution, open_[good], take(moved(problem, part, step), good))
+        write_rows(solution, open_[good], select(moved(problem, part, step), good))
         at_rest = last[open_] <= _QUADRATIC
         converged[open_] = good & at_rest
         last[open_[good]], extra[open_[good]] = length[good], np.abs(step.extra[good])
@@ -118,9 +106,9 @@ def _lane_by_lane(problem: Problem, guess: BoundarySolution, boundary: BoundaryO
     """Solve lane by lane, where the equations of one lane are singular."""
 
     def one(lane: int) -> NewtonSolution:
-        return correct(problem, take(guess, [lane]), *_of_lanes(boundary, hold, np.array([lane])))
+        return correct(problem, select(guess, [lane]), *_of_lanes(boundary, hold, np.array([lane])))
 
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *map(one, range(len(guess.duration))))
+    return concatenate(map(one, range(len(guess.duration))))
 
 
 def _of_lanes(boundary: BoundaryOf, hold: Hold, lanes: Int[np.ndarray, " some"]) -> tuple[BoundaryOf, Hold]:
@@ -154,7 +142,7 @@ def on_adapted_mesh(
         lanes = np.flatnonzero(corrected.converged)
         if not len(lanes):
             break
-        on_new = remeshed(problem, take(corrected.solution, lanes), cyclic=cyclic)
+        on_new = remeshed(problem, select(corrected.solution, lanes), cyclic=cyclic)
         again = correct(problem, on_new, *_of_lanes(boundary, hold, lanes))
-        put(corrected, lanes[again.converged], take(again, again.converged))
+        write_rows(corrected, lanes[again.converged], select(again, again.converged))
     return corrected

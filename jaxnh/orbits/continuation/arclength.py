@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -21,6 +20,7 @@ from jaxnh.orbits import cyclic
 from jaxnh.orbits.continuation import core, paths
 from jaxnh.orbits.continuation.core import ROUGH, Evaluation, LinearSolution, Solution
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import select
 
 _SAME = 1e-6  # sizes: an orbit this near to one of a shorter period is that one
 
@@ -94,11 +94,7 @@ class CurveOrbits(NamedTuple):
 
     def take(self, lanes: Int[np.ndarray, " some"] | Bool[np.ndarray, " lanes"] | slice) -> CurveOrbits:
         """Return the entries of a subset of lanes."""
-
-        def some(leaf: np.ndarray) -> np.ndarray:
-            return leaf[lanes]
-
-        return jax.tree.map(some, self)
+        return select(self, lanes)
 
 
 def inner(family: Family, first: PathVector, second: PathVector) -> Float[np.ndarray, " lanes"]:

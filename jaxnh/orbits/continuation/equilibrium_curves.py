@@ -26,6 +26,7 @@ from jaxnh.orbits.continuation.kinds import FOLD, HOPF
 from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, StepControl, Track
 from jaxnh.orbits.continuation.tracks import joined, nearest
 from jaxnh.systems.chart import Wrap
+from jaxnh.systems.rows import select
 
 _REAL = 1e-6  # imaginary part of an eigenvalue, of the largest modulus
 _PHASE = 2.399963229728653  # between components of c, a golden angle: planes of eigenvectors are hardly ever across it
@@ -256,7 +257,7 @@ def follow_curves(
     equations = EigenvectorEquations(plane, kind)
     curves = list[Curve | None]([None] * len(start.u))
     finite = np.flatnonzero(np.isfinite(start.first).all(axis=1))
-    at = core.correct(equations, equations.join(CriticalEquilibria(*(leaf[finite] for leaf in start))), None, FINE)
+    at = core.correct(equations, equations.join(select(start, finite)), None, FINE)
     confirmed = finite[at.converged]
     if not len(confirmed):
         return curves

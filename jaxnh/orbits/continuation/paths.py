@@ -8,14 +8,15 @@ bifurcation: it is taken again and shorter, until the curve is seen to pass thro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnh.orbits.continuation.core import ROUGH, CurveEquations, Solution, correct, inner, norm
+from jaxnh.systems.rows import concatenate
 
 ENDS = (
     "start", "range", "collapsed", "closed", "no_convergence", "most_points", "unbounded", "resonance", "no_return",
@@ -69,14 +70,6 @@ class StepControl(NamedTuple):
 
 STEPS = StepControl()
 """Default steps."""
-
-
-_Leaves = TypeVar("_Leaves")
-
-
-def concatenated(parts: Sequence[_Leaves]) -> _Leaves:
-    """Records of arrays, one after the other."""
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 # ---- the predictor
@@ -161,7 +154,7 @@ class Path:
         now = self._begun.take(lanes)
         self._keep(lanes, now)
         self.active = np.concatenate([self.active, lanes])
-        self._now = concatenated([self._now, now])
+        self._now = concatenate([self._now, now])
         self._past = _History(
             *(np.concatenate(leaves, axis=1) for leaves in zip(self._past, _first_history(now), strict=True))
         )
@@ -346,7 +339,7 @@ def follow_both_ways(
         at_once: how many are followed at a time, by default all.
     """
     count = len(start.z)
-    path = Path(equations, concatenated([start, start.backward()]), control)
+    path = Path(equations, concatenate([start, start.backward()]), control)
     tracks, turn, followed = dict[int, Track](), 0, 0
     while turn < count or len(path.active):
         more = list[int]()
@@ -371,4 +364,4 @@ def _join(path: Path, ahead: int, behind: int) -> Track:
     if end == CLOSED:
         return Track(track, (CLOSED, CLOSED))
     back = back.take(slice(None, 0, -1)).backward()
-    return Track(concatenated([back, track]), (int(path.end[behind]), end))
+    return Track(concatenate([back, track]), (int(path.end[behind]), end))

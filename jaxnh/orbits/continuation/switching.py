@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, correct, inner, length, times
 from jaxnh.orbits.continuation.core import FINE
+from jaxnh.systems.rows import select, write_rows
 
 # Lengths are in sizes of most lanes' motion: an orbit that is thirty times as small bends so much sooner.
 _AWAY = (4e-3, 1e-3, 2.5e-4, 6e-5, 1.5e-5)  # from the bifurcation, in lengths, tried in this order
@@ -43,10 +43,9 @@ def _nearby_orbits(family: Family, at: PathVector, way: PathVector) -> CurveOrbi
         left = left[~nearby.converged[left]]
         if not len(left):
             break
-        origin, direction = (PathVector(part.points[left], part.value[left]) for part in (at, way))
+        origin, direction = select((at, way), left)
         nearer = _orbits_at_distance(family, origin, direction, away)
-        for leaf, new in zip(jax.tree.leaves(nearby), jax.tree.leaves(nearer), strict=True):
-            leaf[left] = new
+        write_rows(nearby, left, nearer)
     return nearby
 
 

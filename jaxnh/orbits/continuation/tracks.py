@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnh.orbits.continuation.core import CurveEquations, Solution, correct, inner
-from jaxnh.orbits.continuation.paths import CLOSED, MOST_POINTS, Track, concatenated
+from jaxnh.orbits.continuation.paths import CLOSED, MOST_POINTS, Track
+from jaxnh.systems.rows import concatenate
 
 Difference = Callable[[Float[np.ndarray, "k N"]], Float[np.ndarray, "k N"]]
 
@@ -101,7 +102,7 @@ def _continued(equations: CurveEquations, first: Track, second: Track, near: flo
         rest = rest if beyond[:1].all() else rest[1:]
         more = correct(equations, z[rest], sign * way[rest], tolerance=np.inf)
         return _closed(equations, first, more, near) or Track(
-            concatenated([first.points, more]), (first.ends[0], second.ends[1 if sign > 0.0 else 0])
+            concatenate([first.points, more]), (first.ends[0], second.ends[1 if sign > 0.0 else 0])
         )
     return None
 
@@ -110,9 +111,9 @@ def _closed(equations: CurveEquations, track: Track, more: Solution, near: float
     """The closed curve of a track cut at its beginning too, where what goes on beyond its end comes back to it."""
     if track.ends[0] != MOST_POINTS:
         return None
-    last = concatenated([track.points.take(slice(-1, None)), more])
+    last = concatenate([track.points.take(slice(-1, None)), more])
     for first in equations.equivalents(track.points.z[:1]):
         foot = nearest(last.z, last.way, first[0], difference=equations.difference)
         if foot.distance <= near:
-            return Track(concatenated([track.points, more.take(slice(foot.place + 1))]), (CLOSED, CLOSED))
+            return Track(concatenate([track.points, more.take(slice(foot.place + 1))]), (CLOSED, CLOSED))
     return None
