@@ -17,7 +17,7 @@ import numpy as np
 from jaxnh.maps.time_tables import TimeSplit
 from jaxnh.systems.flow import Flow
 from jaxnh.systems.state import State
-from jaxnh.systems.tracing import KnownValue, Program, cached_by_structure, constants
+from jaxnh.systems.tracing import Program, cached_by_structure, constants
 
 _MOST_COMPONENTS = 12  # of a state: each pair of them is traced
 _LARGEST_FORCE = 100  # equations: in larger ones the stages would have to be a loop
@@ -163,8 +163,7 @@ class _Field:
 
         program = Program(gammas, 0.0, self.system, self._zeros, self.own)
         shared = len(jax.tree.leaves(self.system))
-        level = program.depends([1] + [0] * shared + [1] * (len(program.inputs) - 1 - shared))
-        decided = any(not isinstance(slot, KnownValue) and level[slot] for slot in program.outputs)
+        decided = program.output_depends([1] + [0] * shared + [1] * (len(program.inputs) - 1 - shared))
         return None if decided else program
 
     def force(self, halves: Halves) -> TimeSplit:

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from jaxnh.systems.flow import Flow, ParameterRoles, Parameters
 from jaxnh.systems.readout import UNSAID, Labels, Readout
-from jaxnh.systems.tracing import KnownValue, Program
+from jaxnh.systems.tracing import Program
 
 Definition = Mapping[str, Any]
 """Definition of a system: its equations of motion, `coordinates`, with a clock its `period`, without one if
@@ -126,8 +126,7 @@ def _decides_clock(define: Callable[..., Definition], values: Mapping[str, Array
     except Exception:
         near = (now + shift * (abs(now) or 1.0) for shift in (-1e-3, 1e-3))
         return len({unit_of_time(define(**{**values, name: value})) for value in (now, *near)}) > 1
-    (output,), depends = traced.outputs, traced.depends([1])
-    return not isinstance(output, KnownValue) and depends[output] > 0
+    return traced.output_depends([1])
 
 
 def marked(definition: Definition, kind: str) -> tuple[bool, ...]:

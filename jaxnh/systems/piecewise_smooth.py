@@ -24,7 +24,7 @@ from jaxnh.systems.readout import Output, status
 from jaxnh.systems.sliding import HeldMotion, free_motion, held_value, is_on, resting_motion, sliding_motion
 from jaxnh.systems.state import Number, Vector, error_components
 from jaxnh.systems.status import NOT_FINITE
-from jaxnh.systems.tracing import KnownValue, Program
+from jaxnh.systems.tracing import Program
 
 DIRECTIONS = ("up", "down", "both")
 """Directions in which a wall may be passed: its height rises through zero, falls, or either."""
@@ -349,9 +349,7 @@ def _is_linear(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension:
     def slopes(y: Any, t: Any) -> Any:
         return jax.jacfwd(lambda z: jnp.stack([jnp.asarray(x, jnp.float64) for x in then(tuple(z), t)]))(y)
 
-    program = Program(slopes, np.zeros(dimension), 0.0)
-    depends = program.depends([1, 0])
-    return all(isinstance(slot, KnownValue) or not depends[slot] for slot in program.outputs)
+    return not Program(slopes, np.zeros(dimension), 0.0).output_depends([1, 0])
 
 
 def _forgets(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: int) -> bool:

@@ -26,7 +26,7 @@ from jaxnh.systems.definition import Definition
 from jaxnh.systems.elimination import is_positive_definite
 from jaxnh.systems.jourdain import Equations, mass_matrix
 from jaxnh.systems.kinematics import Kinematics, StructureConstants
-from jaxnh.systems.tracing import KnownValue, Program, constants
+from jaxnh.systems.tracing import Program, constants
 
 KEYS = ("rates", "quasi_velocities", "dependent", "norms", "structure_constants")
 """Keys of a definition that go with quasi-velocities."""
@@ -160,8 +160,7 @@ def structure_constants(
 
 
 def _depends_on_time_or_parameters(rates: Program, k: int, n: int) -> bool:
-    depends = rates.depends([0] * (k + n) + [1] * (len(rates.inputs) - k - n))
-    return any(not isinstance(slot, KnownValue) and depends[slot] for slot in rates.outputs)
+    return rates.output_depends([0] * (k + n) + [1] * (len(rates.inputs) - k - n))
 
 
 def _columns_and_brackets(

@@ -29,7 +29,7 @@ from jaxnh.systems.quasi_velocities import QuasiVelocities, equations_of
 from jaxnh.systems.readout import UNSAID, Labels, Output
 from jaxnh.systems.state import Number, Vector
 from jaxnh.systems.status import STATUS
-from jaxnh.systems.tracing import KnownValue, Program
+from jaxnh.systems.tracing import Program
 
 _SINGULAR, _OFF = float(STATUS.index("singular")), float(STATUS.index("off_constraint"))
 
@@ -386,5 +386,4 @@ def _is_linear(define: Callable[..., Definition], parameters: Mapping[str, float
         return constraint_slopes(equations, (*q, *v, t), k) if equations.f else []
 
     program = Program(slopes, (0.0,) * n, (0.0,) * k, 0.0, dict(parameters))
-    depends = program.depends([1] * n + [0] * (len(program.inputs) - n))
-    return all(isinstance(slot, KnownValue) or not depends[slot] for slot in program.outputs)
+    return not program.output_depends([1] * n + [0] * (len(program.inputs) - n))

@@ -102,6 +102,11 @@ class Program:
                 numbers[slot] = level
         return numbers
 
+    def output_depends(self, levels: Sequence[int]) -> bool:
+        """Return whether any result depends on an argument whose number is above zero."""
+        numbers = self.depends(levels)
+        return any(not isinstance(slot, KnownValue) and numbers[slot] > 0 for slot in self.outputs)
+
     def needed(self, slots: Sequence[Slot | KnownValue]) -> set[Slot]:
         """All slots that these are made of, and they."""
         reached = {slot for slot in slots if not isinstance(slot, KnownValue)}

@@ -58,7 +58,7 @@ from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from jaxnh.systems.scaled_time import in_periods
 from jaxnh.systems.small_arrays import by_numbers
 from jaxnh.systems.switched_mechanics import switched_mechanics
-from jaxnh.systems.tracing import KnownValue, Program
+from jaxnh.systems.tracing import Program
 from jaxnh.systems.user_code import explain_error
 from jaxnh.systems.user_functions import (
     EVENTS,
@@ -358,8 +358,7 @@ class UserFile:
         at, parameters = [(0.0,) * size for size in sizes], dict.fromkeys(self.parameters, 0.0)
         traced = self._guarded(lambda: Program(lambda t, p, *vectors: evaluate(p, t, *vectors), 0.0, parameters, *at))
         self._equations.append(traced.sha256)
-        depends = traced.depends([1, *[0] * (len(traced.inputs) - 1)])
-        return traced.shapes, any(not isinstance(slot, KnownValue) and depends[slot] for slot in traced.outputs)
+        return traced.shapes, traced.output_depends([1, *[0] * (len(traced.inputs) - 1)])
 
     def _numbers(self, name: str, values: Sequence[Any]) -> tuple[Any, ...]:
         """Convert a function's result to arrays."""
