@@ -136,6 +136,17 @@ class LaneBatch:
         axis = self.axis and replace(self.axis, values=self.axis.values[lanes])
         return replace(self, start=start, p=p, place=self.places[lanes], axis=axis)
 
+    def parameters_of(self, lanes: Int[np.ndarray, " some"]) -> dict[str, Float[np.ndarray, " some"]]:
+        """Return the parameters of lanes by their numbers."""
+        return select(dict(self.p), lanes)
+
+    def parameters_at(
+        self, names: Sequence[str], values: Float[np.ndarray, "points names"]
+    ) -> dict[str, Float[np.ndarray, " points"]]:
+        """Return parameters of lanes at values of some of them, all others as in the first lane."""
+        p = {name: np.full(len(values), own[0]) for name, own in self.p.items()}
+        return p | dict(zip(names, values.T, strict=True))
+
     @property
     def first_axis(self) -> Axis:
         """The first axis, along which the lanes lie.

@@ -307,9 +307,7 @@ class _CyclePlane:
         batch, lanes, names, clock = self._batch, self._lanes, self._names, self._clock
 
         def height(u: np.ndarray, t: np.ndarray, values: np.ndarray) -> HeightValues:
-            p = {key: np.full(len(u), leaf[0]) for key, leaf in batch.p.items()}
-            p |= dict(zip(names, values[:, -2:].T, strict=True))
-            at = t + values[:, 0] if clock else t
+            p, at = batch.parameters_at(names, values[:, -2:]), t + values[:, 0] if clock else t
             known = lanes(height_rates, (batch.flow,), (u, at, p), tile=_TILE, static=(name, names))
             value, by_state, by_values = map(np.asarray, known)
             return HeightValues(value, by_state, by_values if clock else by_values[..., 1:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -101,9 +102,7 @@ def parameter_plane(
     def period(u: Float[np.ndarray, "lanes d"], values: Float[np.ndarray, "lanes 2"]) -> Derivatives:
         if not len(u):
             return _nothing(u)
-        p = {key: np.full(len(u), leaf[0]) for key, leaf in batch.p.items()}
-        both = p | dict(zip(names, values.T, strict=True))
-        return lanes(derivatives, shared, (u, both), tile=_TILE, static=(names,))
+        return lanes(derivatives, shared, (u, batch.parameters_at(names, values)), tile=_TILE, static=(names,))
 
     return ParameterPlane(period, batch.chart.wrap, size, low, high)
 
@@ -133,11 +132,7 @@ def field_plane(
     high: Float[np.ndarray, " 2"],
 ) -> FieldPlane:
     """The field of a batch's flow, which has no clock, over a plane of two parameters, between their ends."""
-    flow = batch.flow
-
-    def at(values: Float[np.ndarray, "lanes 2"]) -> dict[str, np.ndarray]:
-        p = {key: np.full(len(values), leaf[0]) for key, leaf in batch.p.items()}
-        return p | dict(zip(names, values.T, strict=True))
+    flow, at = batch.flow, partial(batch.parameters_at, names)
 
     def rates_at(u: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rates = lanes(eigenvector_rates, (flow,), (u, vectors, at(values)), tile=_TILE, static=(names,))

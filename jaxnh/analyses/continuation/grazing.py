@@ -174,19 +174,16 @@ def arc_problem(
     steps = math.ceil(period / flow.period * batch.steps) * refinement
     few = -(-steps // 16)  # between the places of samples, of which there are more
 
-    def at(values: np.ndarray) -> dict[str, np.ndarray]:
-        p = {key: np.full(len(values), leaf[0]) for key, leaf in batch.p.items()}
-        return p | dict(zip(names, values.T, strict=True))
-
     def ends_of(start: np.ndarray, length: np.ndarray, side: np.ndarray, event: np.ndarray, values: np.ndarray):
-        own = (start, length, side, event.astype(np.int32), values, at(values))
+        own = (start, length, side, event.astype(np.int32), values, batch.parameters_at(names, values))
         shared = (system, solver, np.int32(steps), period)
         known = lanes(arc_end, shared, own, tile=_ARCS, static=(names,))
         end, by_start, by_length, by_values = (ArcEnds(*map(np.array, part)) for part in known)
         return end, by_start, by_length, by_values
 
     def places_of(start: np.ndarray, length: np.ndarray, side: np.ndarray, values: np.ndarray):
-        known = lanes(arc_samples, (flow, solver, np.int32(few)), (start, length, side, at(values)), tile=_ARCS)
+        own = start, length, side, batch.parameters_at(names, values)
+        known = lanes(arc_samples, (flow, solver, np.int32(few)), own, tile=_ARCS)
         return ArcPlaces(*map(np.asarray, known))
 
     assert isinstance(flow, PiecewiseSmooth)

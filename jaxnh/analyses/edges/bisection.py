@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.edges.destinations import TILE, UNDECIDED, Destinations, destinations
 from jaxnh.analyses.section_points import on_constraints
-from jaxnh.systems.rows import select
 
 WIDTH = 1e-11
 """Distance, in sizes, of two points that a boundary lies between."""
@@ -59,8 +58,7 @@ def label_points(
     """Return points as constraints leave them, and the attractors that they lead to."""
     if not len(lane):
         return u, lane
-    p = select(dict(space.batch.p), lane)
-    moved, state = lanes(on_constraints, (space.batch.system,), (u, p), tile=TILE)
+    moved, state = lanes(on_constraints, (space.batch.system,), (u, space.batch.parameters_of(lane)), tile=TILE)
     return np.array(moved), destinations(targets, lanes, state, lane)
 
 

@@ -126,7 +126,8 @@ def destinations(
     active, elapsed, count = np.arange(len(lane)), 0, _LOOK
     u, calm = np.full((len(lane), targets.batch.chart.dimension), np.nan), np.zeros(len(lane), bool)
     while len(active) and elapsed < targets.most:
-        state = lanes.iterate(targets.strobe, count, (state, select(dict(targets.batch.p), lane[active])), tile=TILE)
+        p = targets.batch.parameters_of(lane[active])
+        state = lanes.iterate(targets.strobe, count, (state, p), tile=TILE)
         new = targets.batch.chart.host_points(state)
         now = _nearest_attractor(targets, new, lane[active])
         now[~is_finite(state)] = ESCAPES

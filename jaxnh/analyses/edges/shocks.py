@@ -172,7 +172,7 @@ def _moved_points(
     moved, orbits = np.zeros_like(best.base), np.flatnonzero(best.period)
     if not len(orbits):
         return moved
-    base, p = best.base[orbits], select(dict(targets.batch.p), best.lane[orbits])
+    base, p = best.base[orbits], targets.batch.parameters_of(best.lane[orbits])
     counts = best.period[orbits].astype(np.int32)
     image, monodromy, _ = lanes(_over_periods, (targets.strobe,), (base, p, counts), tile=TILE)
     inverse = np.linalg.pinv(np.eye(base.shape[1]) - monodromy)

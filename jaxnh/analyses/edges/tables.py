@@ -16,7 +16,7 @@ from jaxnh.analyses.edges.bisection import Bracket, Space
 from jaxnh.analyses.edges.destinations import ESCAPES, MOST, UNDECIDED, LaneAttractors
 from jaxnh.analyses.edges.shocks import Shocks
 from jaxnh.analyses.edges.tracking import EQUILIBRIUM, KINDS, SADDLE_ORBIT, EdgeStates
-from jaxnh.analyses.manifolds.saddles import find_germs, parameters_of
+from jaxnh.analyses.manifolds.saddles import find_germs
 from jaxnh.analyses.options.basins import EdgesOptions
 from jaxnh.analyses.orbits.measurement import measure
 from jaxnh.analyses.table_arrays import RowPlaces, ordered_places
@@ -182,7 +182,7 @@ def _exact(made: Edges, lanes: LaneRunner) -> _Exact:
     for n in np.unique(states.period[closed]).tolist():
         own = np.flatnonzero(closed & (states.period == n))
         lane, points = pairs.lane[own], states.points[own, :n]
-        p, size = parameters_of(batch, lane), made.space.size[lane]
+        p, size = batch.parameters_of(lane), made.space.size[lane]
         germs = [find_germs(batch, lanes, strobe, p, points, size) for strobe in strobes]
         coarse, fine = (each.points.reshape(len(own), n, d)[:, 0] for each in germs)
         measured = measure(batch, lanes, strobes, Cycles(lane, points, np.zeros(len(own), int)), made.space.size)

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, Int8
 from jaxnh.analyses.batch import LaneRunner
 from jaxnh.analyses.edges.bisection import WIDTH, Bracket, Space, narrow
 from jaxnh.analyses.edges.destinations import TILE, Destinations
-from jaxnh.analyses.manifolds.saddles import find_germs, parameters_of
+from jaxnh.analyses.manifolds.saddles import find_germs
 from jaxnh.analyses.orbits.search import map_of_lanes
 from jaxnh.analyses.section_points import points_after
 from jaxnh.orbits.shooting import orbits_from_afar
@@ -153,7 +153,7 @@ def _close(
         good = np.flatnonzero(orbits.converged & near)
         if not len(good):
             continue
-        p, lanes_of = parameters_of(batch, lanes_of[good]), lanes_of[good]
+        p, lanes_of = batch.parameters_of(lanes_of[good]), lanes_of[good]
         germs = find_germs(batch, lanes, batch.strobe(), p, orbits.points[good], space.size[lanes_of])
         saddle = np.isfinite(germs.multiplier).reshape(-1, n).all(axis=1)
         own, good = own[good[saddle]], good[saddle]

@@ -23,7 +23,6 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import rates
 from jaxnh.orbits.newton import solve
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 _SLOW = 1e-6  # of the largest rate of a coordinate
@@ -77,7 +76,7 @@ def detect_equilibrium(batch: LaneBatch, lanes: LaneRunner, units: int) -> Equil
     if not len(near):  # nothing to linearise, and no program to compile for it
         return Equilibrium(still, vanished, fading, exponents, error)
     # At the end, and after one and two steps of Newton from there to where all rates are zero.
-    linear, u, p = [], u[near], select(dict(batch.p), near)
+    linear, u, p = [], u[near], batch.parameters_of(near)
     for _ in range(3):
         linear.append(lanes(_linearise, (batch.strobe(),), (u, p)))
         u = u - _shortest_step(linear[-1].change, linear[-1].rate)

@@ -19,7 +19,7 @@ from jaxnh.analyses.manifolds.curves import (
     grow,
     positions,
 )
-from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, find_orbits, parameters_of, take_orbits
+from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, find_orbits, take_orbits
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import section_map
@@ -81,7 +81,7 @@ def find_saddle_orbits(
 ) -> tuple[Saddles, Int[np.ndarray, " lanes"], Float[np.ndarray, "lanes d"]]:
     """Return the saddle orbits that are kept, how many each lane has, and the sizes of lanes."""
     orbits, size = find_orbits(batch, lanes, options.period, options.n_starts, options.seed, options.box)
-    p, scale = parameters_of(batch, orbits.lane), size[orbits.lane]
+    p, scale = batch.parameters_of(orbits.lane), size[orbits.lane]
     kept = np.zeros(len(orbits.lane), bool)
     for side in sides.values():
         germs = find_germs(batch, lanes, side.maps[0], p, orbits.points, scale, side.backward)
@@ -100,7 +100,7 @@ def _check_inverse(
         return
     last = orbits.points[:, -1]
     back = np.asarray(
-        lanes(section_map, (side.maps[0], np.int32(1)), (orbits.points[:, 0], parameters_of(batch, orbits.lane)))
+        lanes(section_map, (side.maps[0], np.int32(1)), (orbits.points[:, 0], batch.parameters_of(orbits.lane)))
     )
     if not np.max(np.abs(batch.chart.wrap(back - last)) / size[orbits.lane]) < _UNDOES:
         raise OptionError("the map gives no inverse of itself: it does not take a point of an orbit back", "kind")
@@ -117,7 +117,7 @@ def grow_branches(
     most: int,
 ) -> BranchSet:
     """Return all branches of saddles, up to an arc length."""
-    p, scale, wrap = parameters_of(batch, saddles.lane), size[saddles.lane], batch.chart.wrap
+    p, scale, wrap = batch.parameters_of(saddles.lane), size[saddles.lane], batch.chart.wrap
     germs = [find_germs(batch, lanes, maps, p, saddles.points, scale, side.backward) for maps in side.maps]
     turned = np.sum(germs[0].directions * germs[1].directions, axis=1) < 0.0
     germs[1] = germs[1]._replace(directions=np.where(turned[:, None], -1.0, 1.0) * germs[1].directions)

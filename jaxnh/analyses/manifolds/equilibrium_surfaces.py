@@ -13,7 +13,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.equilibria.search import equilibria_from_starts, field_and_slopes
 from jaxnh.analyses.manifolds.local_surfaces import FieldValues, LocalSurface, fit_local_surface
 from jaxnh.analyses.manifolds.motions import ROUNDING, Front
-from jaxnh.analyses.manifolds.saddles import extent, parameters_of
+from jaxnh.analyses.manifolds.saddles import extent
 from jaxnh.analyses.manifolds.surfaces import Fan, Growth, SurfaceMesh, fitting, grow_fans, strip
 from jaxnh.analyses.random_starts import Box, box_corners, random_start_batch
 
@@ -181,7 +181,7 @@ def local_surfaces(
         scale = size[lane]
 
         def field(z: Float[np.ndarray, "points d"], lane: int = lane, scale: np.ndarray = scale) -> FieldValues:
-            p = parameters_of(batch, np.full(len(z), lane))
+            p = batch.parameters_of(np.full(len(z), lane))
             rate, slopes = field_and_slopes(batch.flow, lanes, z * scale, p)
             return sign * rate / scale, sign * slopes * scale[None, None, :] / scale[None, :, None]
 

@@ -19,7 +19,6 @@ from jaxnh.analyses.section_points import first_points, points_from
 from jaxnh.maps.family import Maps
 from jaxnh.orbits.recognition import equal_cycles
 from jaxnh.orbits.shooting import close_orbits
-from jaxnh.systems.rows import select
 
 _SCALES = 12  # of the distance of random starts from the middle, each half of the one before
 _NEUTRAL = 1e-6  # of ln |μ|: a manifold that grows more slowly is not followed
@@ -133,11 +132,6 @@ def find_germs(
     matrices = turn.reshape(-1, d, d) * (scale[:, None, :] / scale[:, :, None])
     multiplier, direction = _expanding(matrices)
     return Germs(exact.reshape(-1, d), direction * scale, multiplier)
-
-
-def parameters_of(batch: LaneBatch, lane: Int[np.ndarray, " some"]) -> dict[str, Float[np.ndarray, " some"]]:
-    """Return the parameters of lanes by their numbers."""
-    return select(dict(batch.p), lane)
 
 
 def _expanding(matrices: Float[np.ndarray, "n d d"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n d"]]:

@@ -19,7 +19,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import BranchSet, Side
 from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined
 from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, tangents
-from jaxnh.analyses.manifolds.saddles import Saddles, find_germs, parameters_of
+from jaxnh.analyses.manifolds.saddles import Saddles, find_germs
 from jaxnh.systems.chart import Wrap
 from jaxnh.systems.rows import select
 
@@ -169,7 +169,7 @@ class _System(NamedTuple):
             side, n = self.sides[k], self.saddles.points.shape[1]
             branch, strobe = branches[number], side.maps[self.which]
             saddle, point = branch // (2 * n), branch // 2 % n
-            p = {**parameters_of(self.batch, lane), self.name: z[:, 2]}
+            p = {**self.batch.parameters_of(lane), self.name: z[:, 2]}
             germs = find_germs(self.batch, self.lanes, strobe, p, self.saddles.points[saddle], size, side.backward)
             row = np.arange(len(number)) * n + point
             germs = select(germs, row)

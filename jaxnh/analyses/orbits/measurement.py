@@ -103,7 +103,7 @@ def return_times(
     count, n, d = points.shape
     if not batch.on_section:
         return np.full(count, n * float(batch.flow.period))
-    p = {name: np.repeat(values[lane], n) for name, values in batch.p.items()}
+    p = batch.parameters_of(np.repeat(lane, n))
     return np.sum(lanes(_return_time, (strobe,), (points.reshape(-1, d), p)).reshape(count, n), axis=1)
 
 

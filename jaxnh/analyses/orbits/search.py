@@ -157,7 +157,7 @@ def _crosses(
     section, (count, n, d) = batch.system, points.shape
     if not isinstance(section, Section):
         return np.ones(count, bool)
-    p = {name: np.repeat(values[lane], n) for name, values in batch.p.items()}
+    p = batch.parameters_of(np.repeat(lane, n))
     rate = np.asarray(lanes(_crossing_rate, (section,), (points.reshape(-1, d), p))).reshape(count, n)
     rate = np.abs(rate) if section.direction == "both" else rate
     with np.errstate(invalid="ignore"):

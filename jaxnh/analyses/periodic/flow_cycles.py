@@ -68,8 +68,7 @@ def flow_problem(
     def field(
         y: Float[np.ndarray, "points d"], t: Float[np.ndarray, " points"], values: Float[np.ndarray, "points q"]
     ) -> FieldValues:
-        own = values.T[int(timed) :]
-        p = {key: np.full(len(y), leaf[0]) for key, leaf in batch.p.items()} | dict(zip(names, own, strict=True))
+        p = batch.parameters_at(names, values[:, int(timed) :])
         t, tile = t + values[:, 0] if timed else t, _POINTS if len(y) > _FEW else _FEW
         known = lanes(rates, (batch.flow,), (y, t, p), tile=tile, static=(names,))
         return FieldValues(*map(np.asarray, known))

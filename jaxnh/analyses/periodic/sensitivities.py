@@ -240,7 +240,7 @@ def lane_sensitivities(
         points = no_sensitivities(nothing.names, count, d)
         return LaneSensitivities(nothing, nothing if timed else None, times, points, nothing, moduli)
     sizes = period[on_orbit]
-    p = select(dict(batch.p), np.repeat(on_orbit, sizes))
+    p = batch.parameters_of(np.repeat(on_orbit, sizes))
     coarse, fine = (ParametrisedOrbits([o for k in on_orbit if (o := each[k]) is not None], p) for each in orbits)
 
     def rates(blocks: Sequence[np.ndarray], motions: Sequence[Sequence[OrbitMotion]]) -> list[Numbers]:

@@ -90,7 +90,7 @@ def symmetric_orbits(
     """
     d, wrap, name = batch.chart.dimension, batch.chart.wrap, symmetry.parameter
     lane = np.repeat(np.arange(batch.count), _STARTS)
-    p = select(dict(batch.p), lane)
+    p = batch.parameters_of(lane)
     draws = np.random.default_rng(0).uniform(-1.0, 1.0, (_STARTS, d + 1))
     u = np.tile(draws[:, :d], (batch.count, 1)) * np.where(batch.chart.angles, 1.0, _BOX) * size[lane]
     image, _ = lanes(_with_slope, (batch.system, symmetry.reversal.signs), (u, p), static=(None,))

@@ -127,8 +127,7 @@ def _growth(
     needed = np.arange(count) < (first + width)[:, None]
     matrices, volumes = np.tile(np.eye(d), (motions, count, 1, 1)), np.ones((motions, count))
     if needed.any():  # else all have left at once
-        each = {name: values[np.nonzero(needed)[0]] for name, values in batch.p.items()}
-        sample = points[:, :count][needed], each
+        sample = points[:, :count][needed], batch.parameters_of(np.nonzero(needed)[0])
         matrices[needed], volumes[needed] = lanes(derivative_and_volume, (batch.strobe(),), sample, tile=ORBIT_TILE)
     directions = np.array(general_directions(d, d)).reshape(d, d)
     frames = np.concatenate([np.tile(side[:k].T, (motions, 1, 1)) for side in (directions, directions[::-1])])
