@@ -33,6 +33,7 @@ from jaxnh.maps.iterate import record
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State
 
 _ANGLES = 64
@@ -54,7 +55,7 @@ def run(options: Chaos01Options, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
         points, end = points_and_end(batch, lanes, batch.start, options.transient, options.periods, _TILE)
     first = np.ascontiguousarray(points[:, :, 0])
     k = lanes(_growth, (angles,), (first,), tile=_TILE, static=(batch.chart.angles[0],))
-    ended = reports(batch.flow, jax.tree.map(lambda component: component[:, None], end))["status"]
+    ended = reports(batch.flow, select(end, np.s_[:, None]))["status"]
     k[np.asarray(ended.data) > 0] = np.nan
     low, median, high = np.quantile(k, [0.25, 0.5, 0.75], axis=1)
     words = "growth rate K of the 0–1 test, periodic part off: near 0 regular, near 1 chaotic"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 
 from jaxnh.analyses.base import Entry, variable
@@ -12,6 +11,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.section import outputs, plot_plane
 from jaxnh.systems.readout import Output
+from jaxnh.systems.rows import select
 
 
 def coordinates_at(batch: LaneBatch, lanes: LaneRunner, points: np.ndarray, instant: float = 0.0) -> dict[str, Output]:
@@ -22,7 +22,7 @@ def coordinates_at(batch: LaneBatch, lanes: LaneRunner, points: np.ndarray, inst
     flat = points.reshape(-1, points.shape[-1])
     known = np.isfinite(flat).all(axis=1)
     subset = flat[known] if known.any() else np.zeros((1, flat.shape[1]))
-    states = jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], states_at(batch, lanes, subset))
+    states = select(states_at(batch, lanes, subset), np.s_[:, None])
     named, coordinates = outputs(batch.flow, states, np.array([instant])), dict[str, Output]()
     for name in dict.fromkeys((*plot_plane(batch.system), *batch.flow.coordinates)):
         if name in named:

@@ -14,6 +14,7 @@ from jaxnh.analyses.base import OptionError, Setting, Starts
 from jaxnh.analyses.batch import LaneBatch
 from jaxnh.maps.section import begin
 from jaxnh.systems.flow import Flow
+from jaxnh.systems.rows import select
 
 Box = Mapping[str, tuple[float, float]]
 """Coordinates of the start by name, each with its lowest and its highest value."""
@@ -55,7 +56,7 @@ def random_start_batch(
     count = int(places.max()) - first + 1
     draws = np.random.Generator(bits).random((count, starts, len(box)))[places - first]
     drawn = {name: low + (high - low) * draws[..., k].ravel() for k, (name, (low, high)) in enumerate(box.items())}
-    start = jax.tree.map(lambda x: x[:, None], batch.without_section().start)
+    start = select(batch.without_section().start, np.s_[:, None])
     coordinates = batch.flow.readout.coordinates(start, np.zeros(1))
     others = {name: np.repeat(np.asarray(output.data)[:, 0], starts) for name, output in coordinates.items()}
     p = {name: np.repeat(values, starts) for name, values in batch.p.items()}

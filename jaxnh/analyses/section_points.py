@@ -11,6 +11,7 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import Crossing, Section, System, flow_of, rates, reports
 from jaxnh.systems.flow import Parameters
+from jaxnh.systems.rows import select
 from jaxnh.systems.state import State, is_finite
 from jaxnh.systems.status import NOT_FINITE
 
@@ -118,7 +119,7 @@ def statuses(
     Args:
         finite: which lanes are, where more is known of them than their last states.
     """
-    ended = np.asarray(reports(batch.flow, jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], state))["status"].data)
+    ended = np.asarray(reports(batch.flow, select(state, np.s_[:, None]))["status"].data)
     finite = is_finite(state) if finite is None else finite
     return np.where(finite, 0, np.where(ended > 0, ended, NOT_FINITE)).astype(int)
 

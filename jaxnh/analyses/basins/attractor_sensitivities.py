@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -30,6 +29,7 @@ from jaxnh.analyses.periodic.sensitivities import (
 from jaxnh.analyses.section_points import states_at
 from jaxnh.maps.section import outputs
 from jaxnh.orbits.bifurcations.sensitivities import difference, error_along
+from jaxnh.systems.rows import select
 
 
 class _Part(NamedTuple):
@@ -146,7 +146,7 @@ def _coordinate_rates(
 
     def at(shift: float, u: Float[np.ndarray, "attractors d"]) -> Float[np.ndarray, "attractors names"]:
         batch = part.batch if own else shifted_batch(part.batch, parameter, shift)
-        state = jax.tree.map(lambda leaf: leaf[:, None], states_at(batch, lanes, u))
+        state = select(states_at(batch, lanes, u), np.s_[:, None])
         every = outputs(batch.flow, state, np.zeros(1))
         return np.stack([np.asarray(every[name].data)[:, 0] for name in names], axis=1)
 

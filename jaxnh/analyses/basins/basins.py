@@ -221,7 +221,7 @@ def _coordinates(batch: LaneBatch, lanes: LaneRunner, judged: Attractors) -> dic
     states = states_at(batch, lanes, points.reshape(-1, points.shape[-1]))
     states = jax.tree.map(lambda leaf: leaf.reshape(count, -1), states)
     start = np.zeros(1)
-    coordinates = outputs(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], state), start)
+    coordinates = outputs(batch.flow, select(state, np.s_[:, None]), start)
     coordinates = {name: output._replace(data=output.data[:, 0]) for name, output in coordinates.items()}
     return coordinates | {f"{name}_points": output for name, output in outputs(batch.flow, states, start).items()}
 

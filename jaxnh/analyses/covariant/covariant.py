@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int, Int8
@@ -181,7 +180,7 @@ def _variables(options: CovariantOptions, batch: LaneBatch, lanes: LaneRunner) -
         motion = SearchedMotions(batch, lanes, points, motions.size, vectors, angles)
         searched["angle_found"] = _search(motion, growing, neutral, options.search, splits)
     kind = judge(splits, each.mean[:, :k], each.error[:, :k], each.mean[:, k:], each.error[:, k:], neutral, vanishing)
-    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], motions.states))["status"]
+    ended = reports(batch.flow, motions.states)["status"]
     density = _densities(angles)
     values, errors = (np.where(hidden, np.nan, leaf[:, :k]) for leaf in each)
     splits[~sound] = UNDECIDED

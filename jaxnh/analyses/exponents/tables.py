@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int8
@@ -19,6 +18,7 @@ from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.options.chaos import LyapunovOptions
 from jaxnh.maps.section import reports
 from jaxnh.systems.readout import status
+from jaxnh.systems.rows import select
 from jaxnh.systems.status import NOT_FINITE
 
 _AT_REST = -7.0  # of the logarithm of a flow's speed, over the whole average: the motion is coming to rest
@@ -120,7 +120,7 @@ def _reasons(
     batch: LaneBatch, averages: Averages, spectrum: Spectrum, exponents: Float[np.ndarray, "lanes exponents"]
 ) -> Int8[np.ndarray, " lanes"]:
     """Return why lanes have failed, numbers in `STATUS`."""
-    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, None], averages.growth.state))["status"]
+    ended = reports(batch.flow, select(averages.growth.state, np.s_[:, None]))["status"]
     known = [SOURCES.index(source) for source in ("equilibrium", "orbit")]
     lost = ~np.all(exponents < np.inf, axis=1) & ~np.isin(spectrum.source, known)
     return np.where(lost & (np.asarray(ended.data) == 0), NOT_FINITE, ended.data)

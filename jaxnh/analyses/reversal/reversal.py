@@ -26,7 +26,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int, Int8
@@ -147,7 +146,7 @@ def run(options: ReversalOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     last = images(batch, lanes, reversal, select(states, np.s_[:, -1]))
     backward = of_repeller(of_exponents, in_time, lanes, parts, last, half)
     compared = compare_sets(batch, lanes, points, mirrored, _resolution(batch, forward, options.strobes))
-    ended = np.asarray(reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], states))["status"].data)
+    ended = np.asarray(reports(batch.flow, states)["status"].data)
     variables = _variables(batch, forward, backward, compared, reversible, ended)
     if symmetry and options.max_period:
         size = np.where(batch.chart.angles, np.pi, np.max(np.abs(points), axis=1))

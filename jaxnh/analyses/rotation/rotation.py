@@ -103,7 +103,7 @@ def run(options: RotationOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Dat
     """Return the rotation number of every lane with its error, its kind and the fraction that it is locked to."""
     with lanes.stage(f"rotation: {batch.count:,} lanes", periods(options, batch.count)):
         states = states_after(batch, lanes, batch.start, options.transient, options.periods + 1)
-    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], states))["status"]
+    ended = reports(batch.flow, states)["status"]
     alive = np.asarray(ended.data) == 0
     with np.errstate(invalid="ignore", over="ignore"):
         advances = advances_of(options, batch, states)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
@@ -91,7 +90,7 @@ def turning_motions(options: InvariantCurveOptions, batch: LaneBatch, lanes: Lan
         advances = rotation.advances_of(asked, batch, states)
         average = birkhoff_average(advances.turns)
     kind = rotation.judge(asked, advances, average)[0]
-    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], states))["status"]
+    ended = reports(batch.flow, states)["status"]
     u = points_at(batch, lanes, states, ORBIT_TILE)
     alive = (np.asarray(ended.data) == 0) & np.isfinite(u).all(axis=(1, 2))
     return TurningMotions(states, u, np.where(alive, kind, rotation.KINDS.index("failed")), average.value)
@@ -141,7 +140,7 @@ def _dataset(
     curves.kind[motions.kind == rotation.KINDS.index("failed")] = KINDS.index("failed")
     for lane, (curve, quality) in solutions.items():
         curves.put((lane,), curve, quality)
-    ended = reports(batch.flow, jax.tree.map(lambda leaf: leaf[:, -1:], motions.states))["status"]
+    ended = reports(batch.flow, motions.states)["status"]
     variables = {
         **curves.numbers((LANE,)),
         **curves.coordinates(lanes, (LANE,)),

@@ -121,7 +121,7 @@ def _record(
 
 
 def _as_path(state: State) -> State:
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], state)
+    return select(state, np.s_[:, None])
 
 
 def _quantities(names: tuple[str, ...], batch: LaneBatch, lanes: LaneRunner, states: State) -> dict[str, Entry]:
