@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from jaxnh.orbits import cyclic
-from jaxnh.orbits.continuation.core import EquationsOfPaths, Evaluation, LinearSolution, Solution
+from jaxnh.orbits.continuation.core import DenseEquations, EquationsOfPaths, Evaluation, Solution
 from jaxnh.orbits.continuation.paths import BEYOND
 
 _NEWTON_STEPS = 20
@@ -136,7 +135,7 @@ class GrazingOrbit(NamedTuple):
             )
 
 
-class GrazingEquations(EquationsOfPaths):
+class GrazingEquations(DenseEquations, EquationsOfPaths):
     """Orbits that touch as `core.CurveEquations`, unknowns in their units: arcs, their lengths, and parameters.
 
     Args:
@@ -222,11 +221,6 @@ class GrazingEquations(EquationsOfPaths):
             onwards = by_length.after[..., None] / by_length.missing[..., None, None]
             blocks = by_start.after - onwards * by_start.missing[..., None, :]
         return Evaluation(residual / self._rows, blocks, slopes * self._size / self._rows[:, None])
-
-    def solve(self, at: Evaluation, /) -> LinearSolution:
-        """Solve by singular values."""
-        least, null, other, square = cyclic.underdetermined_square(at.slopes, -at.residual)
-        return LinearSolution(least, null, other, np.linalg.det(square))
 
     def equivalents(self, z: Float[np.ndarray, "lanes N"], /) -> Iterable[Float[np.ndarray, "lanes N"]]:
         """The orbit as it is: where it begins with another of its periods, another of its arcs touches."""

@@ -14,6 +14,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnh.orbits.cyclic import underdetermined_square
+
 FINE = 1e-9
 """Step of Newton, in lengths, after which an orbit is known to rounding."""
 
@@ -122,6 +124,19 @@ class Solution(NamedTuple):
     def backward(self) -> Solution:
         """The solution with the opposite direction of the curve."""
         return self._replace(way=-self.way, determinant=-self.determinant)
+
+
+class DenseEquations:
+    """CurveEquations with one matrix of derivatives for each point, where any step is allowed."""
+
+    def solve(self, at: Evaluation, /) -> LinearSolution:
+        """Solve by singular values."""
+        least, null, other, square = underdetermined_square(at.slopes, -at.residual)
+        return LinearSolution(least, null, other, np.linalg.det(square))
+
+    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
+        """Any step."""
+        return np.full(len(now.z), np.inf)
 
 
 class EquationsOfPaths:

@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from jaxnh.maps.iterate import Derivatives
-from jaxnh.orbits import cyclic
 from jaxnh.orbits.continuation import core, paths
 from jaxnh.orbits.continuation.arclength import collapses
-from jaxnh.orbits.continuation.core import FINE, Evaluation, LinearSolution, Solution
+from jaxnh.orbits.continuation.core import FINE, Evaluation, Solution
 from jaxnh.orbits.continuation.kinds import DOUBLING, FOLD, closed_determinant, second_compound
 from jaxnh.orbits.continuation.paths import StepControl, Track
 from jaxnh.orbits.continuation.tracks import joined
@@ -190,7 +189,7 @@ def _to_resonances(curve: Curve) -> Curve:
     return replace(curve.part(slice(first, end + 1)), ends=(begins, ends))
 
 
-class BifurcationEquations:
+class BifurcationEquations(core.DenseEquations):
     """Orbits with a bifurcation of a kind as `core.CurveEquations`, unknowns in their units."""
 
     def __init__(self, plane: ParameterPlane, kind: int, unknowns: int) -> None:
@@ -219,11 +218,6 @@ class BifurcationEquations:
         moved[known] = np.einsum("lij,lj->li", np.abs(np.linalg.pinv(slopes[known])), unit * missed[known])
         return moved + np.spacing(np.abs(z))
 
-    def solve(self, at: Evaluation, /) -> LinearSolution:
-        """Solve by singular values."""
-        least, null, other, square = cyclic.underdetermined_square(at.slopes, -at.residual)
-        return LinearSolution(least, null, other, np.linalg.det(square))
-
     def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
         """Angles wrapped."""
         return join_unknowns(self._plane, *_wrapped(self._plane, gap))
@@ -232,10 +226,6 @@ class BifurcationEquations:
         """The same orbit from each of its points on."""
         points, values = split_unknowns(self._plane, z)
         return (join_unknowns(self._plane, np.roll(points, m, 1), values) for m in range(points.shape[1]))
-
-    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
-        """Any step."""
-        return np.full(len(now.z), np.inf)
 
     def endings(
         self, now: Solution, taken: Solution, /

@@ -18,9 +18,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from jaxnh.orbits import cyclic
 from jaxnh.orbits.continuation import core, paths
-from jaxnh.orbits.continuation.core import FINE, Evaluation, LinearSolution, Solution
+from jaxnh.orbits.continuation.core import FINE, Evaluation, Solution
 from jaxnh.orbits.continuation.curves import CURVE_STEPS, Curve
 from jaxnh.orbits.continuation.kinds import FOLD, HOPF
 from jaxnh.orbits.continuation.paths import BOGDANOV_TAKENS, StepControl, Track
@@ -113,7 +112,7 @@ class CriticalEquilibria(NamedTuple):
         return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
-class EigenvectorEquations:
+class EigenvectorEquations(core.DenseEquations):
     """Equilibria with a zero or imaginary eigenvalue as `core.CurveEquations`, unknowns in their units."""
 
     def __init__(self, plane: FieldPlane, kind: int) -> None:
@@ -169,11 +168,6 @@ class EigenvectorEquations:
             missing[:, -1], rows[:, -1, second] = at.second @ self._phase, self._phase
         return Evaluation(missing, slopes[:, :, :d], rows)
 
-    def solve(self, at: Evaluation, /) -> LinearSolution:
-        """Solve by singular values."""
-        least, null, other, square = cyclic.underdetermined_square(at.slopes, -at.residual)
-        return LinearSolution(least, null, other, np.linalg.det(square))
-
     def difference(self, gap: Float[np.ndarray, "lanes N"], /) -> Float[np.ndarray, "lanes N"]:
         """Angles wrapped."""
         d, size = self._d, self._plane.size
@@ -185,10 +179,6 @@ class EigenvectorEquations:
         opposite, end = z.copy(), 3 * self._d if self._hopf else 2 * self._d
         opposite[:, self._d : end] *= -1.0
         yield opposite
-
-    def room(self, now: Solution, /) -> Float[np.ndarray, " lanes"]:
-        """Any step."""
-        return np.full(len(now.z), np.inf)
 
     def endings(
         self, now: Solution, taken: Solution, /
