@@ -1,4 +1,4 @@
-"""Intervals at 95 %: of shares from numbers of draws, and the quantile of a normal distribution."""
+"""Intervals at 95 %: of shares from numbers of draws, and quantiles of Student's t and of a normal variable."""
 
 from __future__ import annotations
 
@@ -14,6 +14,13 @@ def normal_quantile() -> float:
     from scipy.special import ndtri  # here, as it takes a tenth of a second to import
 
     return float(ndtri(0.975))
+
+
+def student(count: int) -> float:
+    """Return Student's two-sided quantile of 95 % for the mean of so many numbers, by one less degrees of freedom."""
+    from scipy.special import stdtrit  # here, as it takes a tenth of a second to import
+
+    return float(stdtrit(count - 1, 0.975))
 
 
 def binomial_interval(

@@ -21,8 +21,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnh.analyses.base import OptionError, Setting, variable
 from jaxnh.analyses.batch import Axis
-from jaxnh.analyses.exponents.errors import student
-from jaxnh.analyses.intervals import normal_quantile
+from jaxnh.analyses.intervals import normal_quantile, student
 
 BOX = 5
 """Starts along an edge of a box."""

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.exponents.tangent_growth import TangentState
+from jaxnh.analyses.intervals import student
 from jaxnh.analyses.options.base import BLOCKS
 from jaxnh.analyses.smooth_window import DEGREE, drift_basis, half_window_weights
 
@@ -37,13 +38,6 @@ class Average(NamedTuple):
 
     mean: Float[np.ndarray, "lanes sums"]
     error: Float[np.ndarray, "lanes sums"]
-
-
-def student(count: int) -> float:
-    """Return Student's two-sided quantile of 95 % for the mean of so many numbers, by one less degrees of freedom."""
-    from scipy.special import stdtrit  # here, as it takes a tenth of a second to import
-
-    return float(stdtrit(count - 1, 0.975))
 
 
 def average_blocks(rates: Float[np.ndarray, "lanes blocks sums"]) -> Average:

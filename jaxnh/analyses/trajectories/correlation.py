@@ -20,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnh.analyses.intervals import student
+
 _PARTS = 16  # of the motion
 _STEPS, _OCTAVE = 40, 2  # radii below the largest, and to an octave
 _LARGEST = 0.25  # of the range
@@ -139,7 +141,5 @@ def _window(points: Float[np.ndarray, "points d"], angles: Bool[np.ndarray, " d"
 
 def _chance(values: Float[np.ndarray, " parts"]) -> float:
     """Return the half-width of the 95 % interval of a mean from its values without one part each (jackknife)."""
-    from scipy.special import stdtrit  # here, as it takes a tenth of a second to import
-
     share = (len(values) - 1) / len(values)
-    return float(stdtrit(len(values) - 1, 0.975) * np.sqrt(share * np.sum((values - values.mean()) ** 2)))
+    return float(student(len(values)) * np.sqrt(share * np.sum((values - values.mean()) ** 2)))

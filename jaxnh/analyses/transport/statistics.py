@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnh.analyses.exponents.errors import average_blocks, student
+from jaxnh.analyses.exponents.errors import average_blocks
+from jaxnh.analyses.intervals import student
 from jaxnh.analyses.options.base import BLOCKS
 
 _OCTAVES = 4  # windows of growth, each twice as long as the one before
