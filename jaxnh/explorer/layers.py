@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Float
 
 Facts = list[tuple[str, str]]
@@ -61,6 +62,14 @@ class Layer(NamedTuple):
     dash: int = 0
     mark: str = "circle"
     label: str = ""
+
+
+def finite_points(data: xr.Dataset, at: tuple[int, ...] = (), ending: str = "_points") -> Points:
+    """Finite points of an orbit that a group has, by coordinate."""
+    names = [str(name) for name in data.data_vars if str(name).endswith(ending)]
+    every = {name.removesuffix(ending): data[name].to_numpy()[at].ravel() for name in names}
+    known = np.all([np.isfinite(values) for values in every.values()], axis=0) if every else np.zeros(0, bool)
+    return {name: values[known] for name, values in every.items()}
 
 
 class Scale(NamedTuple):

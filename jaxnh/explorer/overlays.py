@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from jaxnh.explorer.atlas import ORBITS, with_orbits
-from jaxnh.explorer.layers import Facts, Item, Layer, Points
+from jaxnh.explorer.layers import Facts, Item, Layer, Points, finite_points
 from jaxnh.explorer.report import with_error
 from jaxnh.plotting.bifurcation_curves import SHORT_NAMES
 from jaxnh.plotting.branches import MARKS, stretch_places
@@ -78,16 +78,8 @@ def _multipliers(data: xr.Dataset, at: tuple[int, ...]) -> Facts:
     return [("multipliers", ", ".join(words))]
 
 
-def _points(data: xr.Dataset, at: tuple[int, ...], ending: str = "_points") -> Points:
-    """Finite points of an orbit, by coordinate."""
-    names = [str(name) for name in data.data_vars if str(name).endswith(ending)]
-    every = {name.removesuffix(ending): data[name].to_numpy()[at].ravel() for name in names}
-    known = np.all([np.isfinite(values) for values in every.values()], axis=0) if every else np.zeros(0, bool)
-    return {name: values[known] for name, values in every.items()}
-
-
 def _points_at(data: xr.Dataset, *at: int) -> Points:
-    return _points(data, at)
+    return finite_points(data, at)
 
 
 def _of_curve(data: xr.Dataset, at: int) -> Facts:
@@ -143,7 +135,7 @@ def _of_codimension_two(data: xr.Dataset, across: str, up: str) -> Iterator[Laye
     for what, (words, _) in meanings(data["kind"]).items():
         chosen = np.flatnonzero(data["kind"].to_numpy() == what).tolist()
         items = tuple(
-            Item(x[c : c + 1], y[c : c + 1], partial(facts, c), partial(lambda c, _: _points(data, (c,)), c))
+            Item(x[c : c + 1], y[c : c + 1], partial(facts, c), partial(lambda c, _: finite_points(data, (c,)), c))
             for c in chosen
         )
         if items:
@@ -251,7 +243,9 @@ def _of_bifurcations(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
 
     for what, (words, _) in meanings(data["kind"]).items():
         chosen = np.flatnonzero(data["kind"].to_numpy() == what).tolist()
-        items = tuple(Item(x[c], y[c], partial(facts, c), partial(lambda c, _: _points(data, (c,)), c)) for c in chosen)
+        items = tuple(
+            Item(x[c], y[c], partial(facts, c), partial(lambda c, _: finite_points(data, (c,)), c)) for c in chosen
+        )
         if items:
             yield Layer(words, "dots", _INK, items, mark=_MARKS[MARKS.get(words, "x")])
 
@@ -303,7 +297,7 @@ def _of_orbits(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
     places = [tuple(map(int, at)) for at in np.argwhere(period > 0)]
     for value, (words, _) in meanings(data["stability"]).items():
         items = tuple(
-            Item(x[at], y[at], partial(facts, at), partial(lambda at, _: _points(data, at), at))
+            Item(x[at], y[at], partial(facts, at), partial(lambda at, _: finite_points(data, at), at))
             for at in places
             if stability[at] == value
         )
@@ -332,7 +326,7 @@ def _of_manifolds(data: xr.Dataset, across: str, up: str) -> Iterator[Layer]:
 
     for what, (words, _) in meanings(data["branch_kind"]).items():
         chosen = np.flatnonzero(data["branch_kind"].to_numpy() == what).tolist()
-        orbit = [partial(lambda s, _: _points(data, (s,), "_orbit"), s) for s in range(len(x))]
+        orbit = [partial(lambda s, _: finite_points(data, (s,), "_orbit"), s) for s in range(len(x))]
         items = tuple(
             Item(x[s, b], y[s, b], partial(facts, s, b), orbit[s])
             for s in range(len(x))

@@ -11,7 +11,7 @@ from bokeh.events import Pan, PanStart
 from bokeh.models import ColumnDataSource, CustomJS, Range1d
 from bokeh.plotting import figure
 
-from jaxnh.explorer.layers import Points
+from jaxnh.explorer.layers import Points, finite_points
 from jaxnh.explorer.page_scripts import DRAGGED, TURNED
 from jaxnh.explorer.page_style import NARROW
 from jaxnh.explorer.source import LaneReport, axis_title
@@ -177,10 +177,7 @@ def points_of_attractors(report: LaneReport) -> Points:
     data = report.groups.get("attractors")
     if data is None or data["fraction"].ndim != 1:
         return {}
-    names = [str(name) for name in data.data_vars if str(name).endswith("_points")]
-    values = {name.removesuffix("_points"): data[name].to_numpy().ravel() for name in names}
-    known = np.all([np.isfinite(each) for each in values.values()], axis=0) if values else np.zeros(0, bool)
-    return {name: each[known] for name, each in values.items()}
+    return finite_points(data)
 
 
 def _edge_words(titles: Sequence[str], low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, list[str]]:

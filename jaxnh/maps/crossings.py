@@ -222,8 +222,7 @@ class EventStrobe(ReturnMap):
         seeking = search.shots == 0
         side, low, high, seen = crossing_between(ends, left, either=self.system.direction == "both")
         seen &= seeking & finite
-        straight = heights[0] / (heights[0] - heights[1])
-        guess = jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
+        guess = straight_share(ends, low, high)
         better, *bracket = improve_share(search.share, *ends[2:], rising, search.low, search.high)
 
         near = (jnp.abs(better - search.share) <= SETTLED) | (search.shots >= MOST_SHOTS)
@@ -320,6 +319,12 @@ def crossing_between(
         low, high = jnp.where(second, turn, low), jnp.where(second, 1.0, high)
         return now, low, high, (crossed & (side < 0.0)) | touched
     return now, low, high, crossed | touched
+
+
+def straight_share(ends: tuple[Array, Array, Array, Array], low: Array, high: Array) -> Array:
+    """A first guess of where a height passes zero, by the straight line, within the part that has it."""
+    straight = ends[0] / (ends[0] - ends[2])
+    return jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))
 
 
 def near_turn(ends: tuple[Array, Array, Array, Array], side: Array) -> tuple[Array, Array]:

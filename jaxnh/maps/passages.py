@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxnh.maps.crossings import crossing_between, near_turn
+from jaxnh.maps.crossings import crossing_between, near_turn, straight_share
 from jaxnh.maps.event_heights import Heights, any_of, as_vector, pick
 from jaxnh.maps.general_flow import Moving
 from jaxnh.maps.saltation import Arrival, Reading
@@ -149,7 +149,7 @@ def passages_within(
     passed = [part[3] & finite for part in between]
     looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in numbers]
     checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
-    guesses = [_guess(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
+    guesses = [straight_share(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
     turns = [near_turn(e, side) for e, side in zip(ends, before, strict=True)]
     turns = [(turn, near & seeking & finite) for turn, near in turns]
     candidates = as_vector([jnp.where(hit, guess, jnp.inf) for hit, guess in zip(checked, guesses, strict=True)])
@@ -166,9 +166,3 @@ def passages_within(
         sure=pick(first, crossed),
         turn=jnp.min(as_vector([jnp.where(near, turn, jnp.inf) for turn, near in turns])),
     )
-
-
-def _guess(ends: tuple[Array, Array, Array, Array], low: Array, high: Array) -> Array:
-    """A first guess of where a height passes zero, by the straight line, within the part that has it."""
-    straight = ends[0] / (ends[0] - ends[2])
-    return jnp.where((straight > low) & (straight < high), straight, 0.5 * (low + high))

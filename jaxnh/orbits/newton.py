@@ -147,7 +147,7 @@ def find_doubled(
     at = _Branches(u - size * half, half / first, first[:, 0] ** 2)
     _, around = on_lines(open_, at.m, half)
     bend = (around[:, -1] - around[:, 0]) / (2.0 * first[..., None])
-    known = _Bending(bend, _times(_mean(around) - around[:, 2], at.v) / first**2, at.v.copy())
+    known = _Bending(bend, matvec(_mean(around) - around[:, 2], at.v) / first**2, at.v.copy())
     length, settled, steps = np.full(lanes, np.inf), np.zeros(lanes, np.bool_), np.zeros(lanes, np.int32)
     for _ in range(_DOUBLED_STEPS):
         branches, bent = select((at, known), open_)
@@ -178,9 +178,9 @@ def _doubled_step(
     system, missing = np.zeros((count, 2 * d + 1, 2 * d + 1)), np.zeros((count, 2 * d + 1))
     system[:, :d, :d], missing[:, :d] = ends - identity, 0.5 * (moved[:, 0] + moved[:, -1])
     system[:, :d, d:-1] = at.square[:, None, None] * known.bend
-    system[:, :d, -1] = 0.5 * _times(known.bend, at.v)
+    system[:, :d, -1] = 0.5 * matvec(known.bend, at.v)
     system[:, d:-1, :d], system[:, d:-1, d:-1] = known.bend, whole + identity
-    system[:, d:-1, -1], missing[:, d:-1] = known.cubic, _times(whole, at.v) + at.v
+    system[:, d:-1, -1], missing[:, d:-1] = known.cubic, matvec(whole, at.v) + at.v
     system[:, -1, d:-1], missing[:, -1] = known.normal, np.sum(known.normal * at.v, axis=1) - 1.0
     return solve(system, -missing)
 
@@ -190,7 +190,8 @@ def _amplitude(at: _Branches) -> Float[np.ndarray, "lanes d"]:
     return np.sqrt(at.square)[:, None] * at.v
 
 
-def _times(matrices: Float[np.ndarray, "... d d"], vectors: Float[np.ndarray, "... d"]) -> Float[np.ndarray, "... d"]:
+def matvec(matrices: Float[np.ndarray, "... d d"], vectors: Float[np.ndarray, "... d"]) -> Float[np.ndarray, "... d"]:
+    """Products of matrices and vectors, one each."""
     return (matrices @ vectors[..., None])[..., 0]
 
 

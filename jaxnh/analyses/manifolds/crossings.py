@@ -123,9 +123,12 @@ def refine_crossings(lanes: LaneRunner, curves: tuple[Curves, Curves], meetings:
         ]
         gap = wrap(at[0][0] - at[1][0]) / size
         matrix = np.stack([at[0][1] / size, -at[1][1] / size], axis=2)
-        area, product = _cross(matrix[:, :, 0], matrix[:, :, 1]), np.sum(matrix[:, :, 0] * matrix[:, :, 1], axis=1)
+        area, product = (
+            cross_product(matrix[:, :, 0], matrix[:, :, 1]),
+            np.sum(matrix[:, :, 0] * matrix[:, :, 1], axis=1),
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
-            step = np.stack([_cross(gap, matrix[:, :, 1]), _cross(matrix[:, :, 0], gap)], axis=1)
+            step = np.stack([cross_product(gap, matrix[:, :, 1]), cross_product(matrix[:, :, 0], gap)], axis=1)
             step = step / area[:, None]
             x = x - step * np.minimum(1.0, _LARGEST_STEP / np.abs(step).max(axis=1))[:, None]
             rest = np.linalg.norm(gap, axis=1) < _AT_REST
@@ -147,8 +150,8 @@ def _crossed(
         r, w = way[a][:, None], other_way[b][None]
         between = wrap(other_curve[b][None] - curve[a][:, None]) / size
         with np.errstate(divide="ignore", invalid="ignore"):
-            area = _cross(r, w)
-            share, other_share = _cross(between, w) / area, _cross(between, r) / area
+            area = cross_product(r, w)
+            share, other_share = cross_product(between, w) / area, cross_product(between, r) / area
             met = (share >= 0.0) & (share < 1.0) & (other_share >= 0.0) & (other_share < 1.0)
         k, m = np.nonzero(met)
         results.append((a[k], b[m], share[k, m], other_share[k, m]))
@@ -177,5 +180,6 @@ def _interpolate(values: Float[np.ndarray, " points"], segment: np.ndarray, shar
     return values[segment + 1] + share * (values[segment + 2] - values[segment + 1])
 
 
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def cross_product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the area that vectors in the plane span, signed."""
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import BranchSet, Side
-from jaxnh.analyses.manifolds.crossings import Meetings, distinct_orbits, joined
+from jaxnh.analyses.manifolds.crossings import Meetings, cross_product, distinct_orbits, joined
 from jaxnh.analyses.manifolds.curves import Curves, ManifoldBranch, curves_of, tangents
 from jaxnh.analyses.manifolds.saddles import Saddles, find_germs
 from jaxnh.systems.chart import Wrap
@@ -84,8 +84,8 @@ def near_tangencies(
             other_middle, other_way = _segments(other, size, wrap)
             distance, near = KDTree(other_middle).query(middle, distance_upper_bound=_FARTHEST)
             near = np.minimum(near, len(other_middle) - 1)
-            sine = _cross(way, other_way[near])
-            gap = np.abs(_cross(other_middle[near] - middle, other_way[near]))
+            sine = cross_product(way, other_way[near])
+            gap = np.abs(cross_product(other_middle[near] - middle, other_way[near]))
             arcs = curve.arc[1:-1], other.arc[1:-1][near]
             kept = (sine[1:] * sine[:-1] <= 0.0) & np.isfinite(distance[1:]) & np.isfinite(distance[:-1])
             kept &= np.maximum(arcs[0][1:], arcs[1][1:]) > _TRIVIAL
@@ -194,7 +194,7 @@ class _System(NamedTuple):
         gap = self.batch.chart.wrap(at.points[0] - at.points[1]) / at.size
         with np.errstate(divide="ignore", invalid="ignore"):
             way = at.ways[1] / np.linalg.norm(at.ways[1], axis=1, keepdims=True)
-        return np.stack([np.sum(gap * way, axis=1), _cross(at.ways[0], way), _cross(gap, way)], axis=1)
+        return np.stack([np.sum(gap * way, axis=1), cross_product(at.ways[0], way), cross_product(gap, way)], axis=1)
 
     def measured(self, z: Float[np.ndarray, "some 3"]) -> _System:
         """Return the system with probes and units of the parameter at these places.
@@ -215,7 +215,7 @@ class _System(NamedTuple):
                 for begin, end in ((low.points, high.points), (low.saddles, high.saddles))
             )
             with np.errstate(divide="ignore", invalid="ignore"):
-                across = np.abs(_cross(points, ways)) / np.linalg.norm(ways, axis=2)
+                across = np.abs(cross_product(points, ways)) / np.linalg.norm(ways, axis=2)
                 begun = np.linalg.norm(saddles, axis=2)
                 unit = probe / np.maximum(across, begun).max(axis=0)
                 factor = _PROBE / np.maximum(np.linalg.norm(points, axis=2), begun).max(axis=0)
@@ -342,7 +342,3 @@ def _segments(branch: ManifoldBranch, size: np.ndarray, wrap: Wrap) -> tuple[np.
     way = wrap(np.diff(branch.points[1:], axis=0)) / size
     middle = branch.points[1:-1] / size + 0.5 * way
     return middle, way / np.linalg.norm(way, axis=1, keepdims=True)
-
-
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]

@@ -15,7 +15,7 @@ from jaxnh.analyses.batch import LaneRunner
 from jaxnh.maps.family import Maps
 from jaxnh.maps.iterate import Derivatives, derivatives
 from jaxnh.orbits.multipliers import eigenvalues
-from jaxnh.orbits.newton import Images, Orbit, find_doubled, find_orbits, solve
+from jaxnh.orbits.newton import Images, Orbit, find_doubled, find_orbits, matvec, solve
 from jaxnh.orbits.newton_program import MOST_COORDINATES, find_least_period, find_orbit
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Parameters
@@ -109,7 +109,7 @@ def _contracts(
     image, monodromy = np.asarray(here.image), np.asarray(here.monodromy)
     step = solve(monodromy - identity, chart.wrap(u - image))
     change = np.asarray(at(u + step, every).monodromy) - monodromy
-    next_step = solve(monodromy - identity, (change @ step[..., None])[..., 0])
+    next_step = solve(monodromy - identity, matvec(change, step))
     return np.linalg.norm(next_step / size, axis=1) <= _ISOLATED * np.linalg.norm(step / size, axis=1)
 
 

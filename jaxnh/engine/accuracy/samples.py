@@ -25,7 +25,7 @@ from jaxnh.solvers import Solver
 from jaxnh.systems.flow import Parameters
 from jaxnh.systems.piecewise_smooth import PiecewisePoint, PiecewiseSmooth
 from jaxnh.systems.rows import concatenate, select, spread_indices
-from jaxnh.systems.state import State, status_in_nan
+from jaxnh.systems.state import State, is_finite, status_in_nan
 from jaxnh.systems.status import CHATTERING, CODIMENSION_TWO, NO_RETURN, OUT_OF_STEPS
 
 _CALLS, _PERIODS = 10, 17  # calls, and periods in each, in which sampled lanes are followed from the start
@@ -111,7 +111,7 @@ def are_lost_by(maps: SampleMaps, start: Samples, solver: Solver, steps: int, pe
     for done in range(0, periods, _AT_ONCE):
         stretches = -(-min(_AT_ONCE, periods - done) // _PERIODS)
         after = image(now, stretches * _PERIODS)
-        lost = _finite(now.states) & ~_finite(after)
+        lost = is_finite(now.states) & ~is_finite(after)
         for _ in range(stretches if np.any(lost) else 0):
             met: list[State] = [now.states]
             for _ in range(_PERIODS):
@@ -122,11 +122,6 @@ def are_lost_by(maps: SampleMaps, start: Samples, solver: Solver, steps: int, pe
             now = now._replace(states=met[-1])
         now = now._replace(states=after)
     return False
-
-
-def _finite(states: State) -> Bool[np.ndarray, ...]:
-    """Return which states (...) are finite in all components that errors are measured in."""
-    return np.all([np.isfinite(leaf) for leaf in image_of(states)], axis=0)
 
 
 def _follow_from_start(
@@ -150,7 +145,7 @@ def _follow_from_start(
             return start._replace(states=states), apart, steps
         steps *= 2
         if steps * maps.scheme.reference.stages > _MOST_SEED_KICKS:
-            some = np.any(_finite(last))
+            some = np.any(is_finite(last))
             why = "" if maps.adaptive and some else _lost_rank(maps, start, states, stays)
             if why or not maps.adaptive:
                 raise _stiff(start, stays, why)
@@ -185,7 +180,7 @@ def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: Stat
     One that has run out of steps of its own, as on its way to infinity, needs no finer ones while others go on.
     """
     every = jax.tree.map(lambda leaf, end: np.concatenate([leaf, end[:, None]], axis=1), states, last)
-    finite = _finite(every)
+    finite = is_finite(every)
     when = np.argmin(finite, axis=1)
     lost = finite[:, 0] & (when >= first)
     if maps.adaptive and np.any(finite[:, -1]):

@@ -24,6 +24,7 @@ from jaxnh.orbits import cyclic
 from jaxnh.orbits.bifurcations.location import critical
 from jaxnh.orbits.continuation.arclength import CurveOrbits, Family, PathVector, length
 from jaxnh.orbits.continuation.kinds import BRANCH_POINT, DOUBLING, FOLD, eigenvalues
+from jaxnh.orbits.newton import matvec
 
 CRITICALITIES = ("subcritical", "none", "supercritical")
 """Signs of −s: −1, 0 where it is not known or there is none, 1."""
@@ -108,11 +109,11 @@ def _coefficient(
         second = second + (ahead - 2.0 * blocks + behind) / h**2  # C(q, q̄, ·)
     back = np.conj(first)
     if real:
-        v = w = _real_response(blocks, left, np.real(_times(first, q)), bool(np.all(np.real(z) > 0.0)))
+        v = w = _real_response(blocks, left, np.real(matvec(first, q)), bool(np.all(np.real(z) > 0.0)))
     else:
-        w = _response(blocks, _times(back, q), np.ones_like(z))
-        v = _response(blocks, _times(first, q), 2.0 * z - 1.0 if family.field else z * z)
-    g = 0.5 * _times(second, q) + _times(first, w) + 0.5 * _times(back, v)
+        w = _response(blocks, matvec(back, q), np.ones_like(z))
+        v = _response(blocks, matvec(first, q), 2.0 * z - 1.0 if family.field else z * z)
+    g = 0.5 * matvec(second, q) + matvec(first, w) + 0.5 * matvec(back, v)
     return np.real(np.sum(left * g, axis=(1, 2))) * (1 / 3 if real else 1.0)
 
 
@@ -133,7 +134,7 @@ def _pairing(family: Family, blocks: np.ndarray, q: np.ndarray, left: np.ndarray
 
 def _ends(family: Family, blocks: np.ndarray, q: np.ndarray) -> Complex[np.ndarray, "some d"]:
     """q_n."""
-    return q[:, -1] if family.field else _times(blocks[:, -1], q[:, -1])
+    return q[:, -1] if family.field else matvec(blocks[:, -1], q[:, -1])
 
 
 def _rounding(
@@ -156,10 +157,6 @@ def _moved_blocks(
     values = np.broadcast_to(orbits.value[:, None], points.shape[:-1])
     _, matrix, _ = family.period(points.reshape(-1, points.shape[-1]), values.ravel())
     return np.asarray(matrix).reshape(*points.shape, -1) * (family.size / family.size[:, None])
-
-
-def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    return (matrices @ vectors[..., None])[..., 0]
 
 
 # ---- linear equations around the orbit whose last is closed by a number z, in real numbers
