@@ -142,7 +142,7 @@ def _bench(experiment: Experiment, began: float) -> PricedExperiment:
     lanes, axes = LaneExecutor(progress(Console(stderr=True)), devices_of(experiment)), experiment.axes
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         calibration = calibrate(experiment, axes, lanes.on_host())
-        plan = plan_of(experiment, axes, calibration, experiment.requested())
+        plan = plan_of(experiment, calibration, experiment.requested())
     along = next((axis for axis in axes if axis.kind != "shared"), None)
     count = len(along.values) if along else 1
     places = [np.arange(count) if axis is along else np.zeros(count, int) for axis in axes]
@@ -170,7 +170,7 @@ def _forms(bench: PricedExperiment) -> xr.Dataset | None:
     experiment, requested = bench.experiment, bench.experiment.requested()
     lanes = experiment.sweep.lanes
     on_card = bench.lanes.on_card
-    chosen = in_quickest_form(experiment, experiment.axes, bench.plan, requested, on_card=on_card)
+    chosen = in_quickest_form(experiment, bench.plan, requested, on_card=on_card)
     rolled = bool(getattr(chosen.solver, "rolled", False))
     work = work_of(requested, lanes)
     return forms.price(bench.batch, requested, bench.lanes, lanes, work, rolled=rolled)

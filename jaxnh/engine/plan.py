@@ -109,7 +109,7 @@ def find_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneExecutor,
         return Plan(iteration, 1, False, float(np.finfo(float).eps))
     with lanes.stage("accuracy: errors of one period on sample lanes", 0):
         calibration = calibrate(experiment, axes, lanes.on_host(), experiment.accuracy.only_target, requested)
-        plan = plan_of(experiment, axes, calibration, requested)
+        plan = plan_of(experiment, calibration, requested)
         if experiment.accuracy.steps:
             return plan
         return calibration.rehearse(plan, math.ceil(work_of(requested, experiment.sweep.lanes)))
@@ -131,9 +131,7 @@ def find_or_keep_plan(experiment: Experiment, axes: Sequence[Axis], lanes: LaneE
     return plan
 
 
-def plan_of(
-    experiment: Experiment, axes: Sequence[Axis], calibration: Calibration, requested: Requested | None = None
-) -> Plan:
+def plan_of(experiment: Experiment, calibration: Calibration, requested: Requested | None = None) -> Plan:
     """The solver and steps asked for, or else the cheapest that meet the target.
 
     Args:
@@ -149,7 +147,7 @@ def plan_of(
 
     def enough(plan: Plan) -> bool:
         double = experiment.precision == "float64"  # in extended precision an operation takes a hundred times as long
-        return double and requested is not None and is_short(experiment, axes, plan, requested)
+        return double and requested is not None and is_short(experiment, plan, requested)
 
     try:
         return calibration.cheapest(accuracy.target, enough)
@@ -157,19 +155,17 @@ def plan_of(
         raise AccuracyError(f"{experiment.label}: accuracy.target: {error}") from None
 
 
-def is_short(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> bool:
+def is_short(experiment: Experiment, plan: Plan, requested: Requested) -> bool:
     """Return whether analyses of a sweep are done before another solver would be compiled and measured."""
-    return cost_model.is_short(*_job(experiment, axes, plan, requested))
+    return cost_model.is_short(*_job(experiment, plan, requested))
 
 
-def in_quickest_form(
-    experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested, *, on_card: bool = False
-) -> Plan:
+def in_quickest_form(experiment: Experiment, plan: Plan, requested: Requested, *, on_card: bool = False) -> Plan:
     """The plan with the steps in the form that is quickest for so many lane-periods, compiling included.
 
     On a graphics card they are written out: arrays of stages would leave the registers.
     """
-    return plan if on_card else plan._replace(solver=cost_model.quickest_form(*_job(experiment, axes, plan, requested)))
+    return plan if on_card else plan._replace(solver=cost_model.quickest_form(*_job(experiment, plan, requested)))
 
 
 def with_step_classes(
@@ -204,12 +200,12 @@ def why_common_steps(experiment: Experiment, axes: Sequence[Axis], plan: Plan, r
         return "rounding, and not steps alone, decides on errors"
     if any(analysis.starts(options) is not None for analysis, options in requested):
         return "random starts may need more than the lanes that are looked at"
-    if not cost_model.is_worth_classes(*_job(experiment, axes, plan, own)):
+    if not cost_model.is_worth_classes(*_job(experiment, plan, own)):
         return "the run is short"
     return ""
 
 
-def _job(experiment: Experiment, axes: Sequence[Axis], plan: Plan, requested: Requested) -> tuple[Solver, Flow, float]:
+def _job(experiment: Experiment, plan: Plan, requested: Requested) -> tuple[Solver, Flow, float]:
     """The solver, a flow and the lane-steps of a sweep, those that fill up vectors and tiles too."""
     lanes = experiment.sweep.lanes
     tile = cost_model.lanes_a_tile(lanes)
@@ -304,7 +300,7 @@ def decide(
             check_size(experiment, axes, plan, requested, lanes)
     else:
         plan = find_plan(experiment, axes, lanes, requested)
-        plan = in_quickest_form(experiment, axes, plan, requested, on_card=lanes.on_card)
+        plan = in_quickest_form(experiment, plan, requested, on_card=lanes.on_card)
         if not asked:
             check_size(experiment, axes, plan, requested, lanes)
         plan = with_step_classes(experiment, axes, plan, requested, lanes)

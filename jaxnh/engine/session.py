@@ -71,7 +71,7 @@ class _Calibrated(NamedTuple):
     @classmethod
     def of(cls, experiment: Experiment, axes: tuple[Axis, ...], requested: Requested, plan: Plan) -> _Calibrated:
         """Return the record of a plan that was made for a sweep."""
-        starts, short = frozenset(start_samplers(requested)), is_short(experiment, axes, plan, requested)
+        starts, short = frozenset(start_samplers(requested)), is_short(experiment, plan, requested)
         return cls(axes, experiment.sectioned, starts, short, plan)
 
     def serves(self, experiment: Experiment, axes: tuple[Axis, ...], requested: Requested) -> bool:
@@ -80,7 +80,7 @@ class _Calibrated(NamedTuple):
             return False
         if not self.starts >= frozenset(start_samplers(requested)):
             return False
-        if self.short and not is_short(experiment, axes, self.plan, requested):
+        if self.short and not is_short(experiment, self.plan, requested):
             return False  # solvers were not compared, and a longer run is worth it
         return self.plan.is_rehearsed(work_of(requested, experiment.sweep.lanes))  # a longer run meets more violence
 
@@ -320,7 +320,7 @@ class Session:
             )
         axes, requested, lanes = experiment.axes, experiment.requested(), self._lanes
         plan = self._plan_for(experiment, axes)
-        plan = in_quickest_form(experiment, axes, plan, requested, on_card=lanes.on_card)
+        plan = in_quickest_form(experiment, plan, requested, on_card=lanes.on_card)
         plan = with_step_classes(experiment, axes, plan, requested, lanes)
         chosen = choose(experiment, axes, plan, requested, lanes)
         job = job_of(experiment, axes, plan, chosen, requested, lanes.machine, on_card=lanes.on_card)

@@ -44,7 +44,7 @@ class Cyclic(NamedTuple):
 def eliminate(blocks: Float[np.ndarray, "... n m m"], next_blocks: Float[np.ndarray, "... n m m"]) -> Cyclic:
     """The elimination of all points but the first, of A and B."""
     m, rounds = blocks.shape[-1], []
-    blocks, next_blocks = _points_first(blocks, -3), _points_first(next_blocks, -3)
+    blocks, next_blocks = _points_first(blocks), _points_first(next_blocks)
     while len(blocks) > 1:
         (first, of_left), (of_right, last) = _pairs(blocks), _pairs(next_blocks)
         turns, upper = np.linalg.qr(np.concatenate([of_right, of_left], axis=-2), mode="complete")
@@ -165,9 +165,9 @@ def determinant(cycle: Cyclic) -> Float[np.ndarray, ...]:
     return (-1.0) ** eliminated * sign * np.exp(logarithm)
 
 
-def _points_first(each: np.ndarray, axis: int) -> np.ndarray:
+def _points_first(each: np.ndarray) -> np.ndarray:
     """Return an array in one memory order: the last bits of products depend on it."""
-    return np.ascontiguousarray(np.moveaxis(each, axis, 0))
+    return np.ascontiguousarray(np.moveaxis(each, -3, 0))
 
 
 def _pairs(each: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -178,7 +178,7 @@ def _pairs(each: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _eliminated_sides(cycle: Cyclic, right: Float[np.ndarray, "... n m c"]) -> tuple[np.ndarray, list[np.ndarray]]:
     """Return c right-hand sides of the equation left for y_0, and of those of the points that were eliminated."""
     m, known = right.shape[-2], []
-    carried = _points_first(right, -3)
+    carried = _points_first(right)
     for turns, _, _ in cycle.rounds:
         both = np.swapaxes(turns, -1, -2) @ np.concatenate(_pairs(carried), axis=-2)
         known.append(both[..., :m, :])

@@ -14,14 +14,14 @@ from jaxnh.systems.state import State
 _NEARLY_LOST = 0.01  # of the smallest singular value of df/dv on a motion: steps do not follow what turns there
 
 
-def describe_singularity(flow: Flow, t: ArrayLike, y: State, p: Parameters) -> str:
-    """Return which matrix is singular at a state, so that it has no time derivative, and for which velocities."""
+def describe_singularity(flow: Flow, y: State, p: Parameters) -> str:
+    """Return which matrix is singular at a state at t = 0, so that it has no rates, and for which velocities."""
     if not isinstance(flow, Lagrangian):
         return ""
     equations = flow.equations(p)
-    if not bool(jnp.isnan(flow.rhs(t, y, p).watch[1])):
+    if not bool(jnp.isnan(flow.rhs(0.0, y, p).watch[1])):
         return ""
-    mass = np.array(matrices(equations, (*y.q, *flow.all_velocities(t, y, p), t), len(y.q))[0], float)
+    mass = np.array(matrices(equations, (*y.q, *flow.all_velocities(0.0, y, p), 0.0), len(y.q))[0], float)
     names = flow.quasi.everything if flow.quasi else flow.velocities
     if np.linalg.matrix_rank(mass) == len(mass):
         if flow.quasi and flow.quasi.dependent:

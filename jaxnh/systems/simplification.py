@@ -134,13 +134,13 @@ def _place(value: Value) -> tuple[int, float]:
     return (0, _float(value)) if isinstance(value, KnownValue) else (1, value)
 
 
-def _is(value: Value, number: float) -> bool:
-    return isinstance(value, KnownValue) and _float(value) == number
+def _is_zero(value: Value) -> bool:
+    return isinstance(value, KnownValue) and _float(value) == 0.0
 
 
 def _sum(program: SimplifiedProgram, x: Value, y: Value) -> Value:
-    if _is(x, 0.0) or _is(y, 0.0):
-        return y if _is(x, 0.0) else x
+    if _is_zero(x) or _is_zero(y):
+        return y if _is_zero(x) else x
     if inner := program.parts("neg", y):
         return _difference(program, x, *inner)
     if inner := program.parts("neg", x):
@@ -149,9 +149,9 @@ def _sum(program: SimplifiedProgram, x: Value, y: Value) -> Value:
 
 
 def _difference(program: SimplifiedProgram, x: Value, y: Value) -> Value:
-    if _is(y, 0.0):
+    if _is_zero(y):
         return x
-    if _is(x, 0.0):
+    if _is_zero(x):
         return _negative(program, y)
     if inner := program.parts("neg", y):
         return _sum(program, x, *inner)

@@ -78,7 +78,7 @@ def compare(name: str, lanes: int, repeats: int, *, spread: bool) -> Comparison:
     config = _CONFIG.format(rates=rates(lanes, spread=spread).tolist(), rest=rest)
     experiment = Experiment.from_text(config, _SOURCE.format(**formulas))
     axes, requested, runner = experiment.axes, experiment.requested(), LaneExecutor(devices=jax.devices()[:1])
-    common = in_quickest_form(experiment, axes, find_plan(experiment, axes, runner, requested), requested)
+    common = in_quickest_form(experiment, find_plan(experiment, axes, runner, requested), requested)
     began = time.process_time()
     own = with_step_classes(experiment, axes, common, requested, runner)
     look = time.process_time() - began

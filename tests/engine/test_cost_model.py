@@ -112,7 +112,7 @@ def test_both_forms_are_the_same_map(lanes):
 def test_form_follows_from_the_work_of_a_sweep(lanes, periods, looped):
     experiment = jaxnh.Experiment.from_text(TEXT % (lanes, periods), SOURCE)
     plan = Plan(SOLVERS["tsit5"], 60, False, 1e-6)
-    assert bool(in_quickest_form(experiment, experiment.axes, plan, experiment.requested()).solver.rolled) == looped
+    assert bool(in_quickest_form(experiment, plan, experiment.requested()).solver.rolled) == looped
 
 
 def test_a_result_names_its_form():

@@ -54,7 +54,7 @@ def check(options: BasinsOptions, setting: Setting) -> None:
     if options.n_starts:
         check_box(options.box, setting)
     if options.boundary:
-        check_plane(setting, "boundary")
+        check_plane(setting)
 
 
 def choose(options: BasinsOptions, batch: LaneBatch, lanes: LaneRunner) -> dict[str, int]:

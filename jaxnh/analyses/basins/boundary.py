@@ -57,15 +57,15 @@ class Boundary(NamedTuple):
     uncertainty_exponent: BoundaryMeasures
 
 
-def check_plane(setting: Setting, key: str) -> None:
+def check_plane(setting: Setting) -> None:
     """Check that exactly two of the axes are start coordinates with enough values at equal distances."""
     plane = [axis for axis in setting.axes if axis.kind == "start"]
     if len(plane) != 2:
-        raise OptionError("needs a plane of start states: two axes of coordinates of the start", key)
+        raise OptionError("needs a plane of start states: two axes of coordinates of the start", "boundary")
     for axis in plane:
         steps = np.diff(axis.values)
         if len(axis.values) < LEAST or not np.all(np.abs(steps - steps[0]) <= _EVEN * np.abs(steps[0])):
-            raise OptionError(f"needs at least {LEAST} values of {axis.name}, at equal distances", key)
+            raise OptionError(f"needs at least {LEAST} values of {axis.name}, at equal distances", "boundary")
 
 
 def boundary_variables(number: Int[np.ndarray, " lanes"], axes: Sequence[Axis]) -> xr.Dataset:

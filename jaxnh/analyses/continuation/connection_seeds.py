@@ -151,7 +151,7 @@ def connection_seeds(
     shooting: Shooting, values: Float[np.ndarray, " k"], chains: list[Chain]
 ) -> Iterator[ConnectionSeed]:
     """Guesses of connecting orbits of all saddles between values of the first axis."""
-    for manifold in _manifolds(shooting, chains):
+    for manifold in _manifolds(chains):
         numbers = sorted(manifold.chain.saddles)
         starts = [manifold.chain.saddles[number] for number in numbers]
         directions = _directions(manifold, starts)
@@ -173,7 +173,7 @@ def connection_seeds(
                             yield seed
 
 
-def _manifolds(shooting: Shooting, chains: list[Chain]) -> Iterator[Manifold]:
+def _manifolds(chains: list[Chain]) -> Iterator[Manifold]:
     for chain in chains:
         first = next(iter(chain.saddles.values()))
         if len(first.unstable) == 1:

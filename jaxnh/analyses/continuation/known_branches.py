@@ -91,11 +91,9 @@ class KnownBranches:
         return np.concatenate([self._points[ends], between]), every
 
 
-def is_on_branch(
-    family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float, near: float = SAME
-) -> bool:
+def is_on_branch(family: Family, branches: Sequence[Branch], points: Float[np.ndarray, "n d"], value: float) -> bool:
     """Return whether an orbit at a parameter value is on one of the branches, whichever of its points comes first."""
-    return KnownBranches(family, branches, len(points)).has(points, value, near)
+    return KnownBranches(family, branches, len(points)).has(points, value)
 
 
 def orbits_at(family: Family, branches: Sequence[Branch], value: float) -> Float[np.ndarray, "some n d"]:

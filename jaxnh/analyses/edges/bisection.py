@@ -62,18 +62,15 @@ def label_points(
     return np.array(moved), destinations(targets, lanes, state, lane)
 
 
-def narrow(
-    space: Space, targets: Destinations, lanes: LaneRunner, pairs: Bracket, width: float | np.ndarray = WIDTH
-) -> Bracket:
-    """Return pairs of points not further apart than a width, about the first change of label on the way from `near`.
+def narrow(space: Space, targets: Destinations, lanes: LaneRunner, pairs: Bracket) -> Bracket:
+    """Return pairs of points not further apart than `WIDTH`, about the first change of label on the way from `near`.
 
     Where all that is looked at between two points is undecided, as the basin of an attractor that no start has led to,
     the boundary is that of this, and the label of the far point is `UNDECIDED`.
     """
     lane, near, far, near_label, far_label = (np.array(leaf) for leaf in pairs)
-    width = np.broadcast_to(width, len(lane))
     for _ in range(_ROUNDS):
-        active = np.flatnonzero(space.distance(near, far, lane) > width)
+        active = np.flatnonzero(space.distance(near, far, lane) > WIDTH)
         if not len(active):
             break
         way = space.batch.chart.wrap(far[active] - near[active])

@@ -159,15 +159,13 @@ def _refine(space: Space, targets: Destinations, lanes: LaneRunner, best: Shocks
         before, best = best.length, _shortest(best, around, moved)
         gain = before - best.length
     refined = targets.refined(2)
-    there = best._replace(base=best.base + _moved_points(space, refined, lanes, best))
+    there = best._replace(base=best.base + _moved_points(refined, lanes, best))
     fine = _shocks_along(space, refined, lanes, there, _directions(space, best)[:, None])
     off = np.nan_to_num(np.abs(fine.length - best.length), nan=np.inf)
     return best._replace(error=WIDTH + _COVER * gain + _TWICE * off)
 
 
-def _moved_points(
-    space: Space, targets: Destinations, lanes: LaneRunner, best: Shocks
-) -> Float[np.ndarray, "shocks d"]:
+def _moved_points(targets: Destinations, lanes: LaneRunner, best: Shocks) -> Float[np.ndarray, "shocks d"]:
     """Return by how much points of orbits and equilibria are moved by the steps of a map: one step of Newton."""
     moved, orbits = np.zeros_like(best.base), np.flatnonzero(best.period)
     if not len(orbits):

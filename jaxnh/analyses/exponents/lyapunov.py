@@ -314,19 +314,18 @@ def tangents(options: LyapunovOptions, batch: LaneBatch) -> int:
     return min(options.exponents, batch.flow.exponents - int(batch.flow.autonomous))
 
 
-def program(batch: LaneBatch, k: int, parts: int = _PRICED_PARTS) -> PricedProgram:
-    """Return the program of a period of k tangents, orthonormalised so many times; for none the map alone."""
+def program(batch: LaneBatch, k: int) -> PricedProgram:
+    """Return the program of a period of k tangents, orthonormalised `_PRICED_PARTS` times; for none the map alone."""
     batch = batch.without_section()
     if not k:
         return map_alone(batch)
     state, p = batch.lanes
     state = jax.tree.map(jnp.asarray, state)
     start = jax.vmap(lambda z: begin(batch.flow, z, k))(state)
-    strobes = cut_period(batch, parts)
+    strobes = cut_period(batch, _PRICED_PARTS)
     shared = (strobes, None, np.int32(1), np.float64(0.0))
-    return PricedProgram(
-        advance, shared, (jax.tree.map(np.asarray, start), p), (1.0, float(parts), *strobes.trip_counts)
-    )
+    trips = 1.0, float(_PRICED_PARTS), *strobes.trip_counts
+    return PricedProgram(advance, shared, (jax.tree.map(np.asarray, start), p), trips)
 
 
 def price(options: LyapunovOptions, batch: LaneBatch) -> Price:

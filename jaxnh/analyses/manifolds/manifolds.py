@@ -52,7 +52,7 @@ def check(options: ManifoldsOptions, setting: Setting) -> None:
     """Check the box, names, and that there are curves to grow and a parameter to move, or surfaces."""
     flow = setting.flow
     if options.dimension == 2:
-        check_surfaces(options, setting)
+        check_surfaces(setting)
     if flow.exponents - int(setting.autonomous) < 2:
         raise OptionError("manifolds are curves among other directions of the map, and it has one alone")
     if not options.box:

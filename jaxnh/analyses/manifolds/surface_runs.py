@@ -27,7 +27,7 @@ _SHARE = 0.01  # of the accuracy, that the local part of a surface may leave
 _LEAST, _MOST = 1e-11, 1e-6  # sizes: deviations of surfaces that steps are chosen by, where none is asked for
 
 
-def check_surfaces(options: ManifoldsOptions, setting: Setting) -> None:
+def check_surfaces(setting: Setting) -> None:
     """Check that the system is a smooth flow without a clock, with directions beside two."""
     flow = setting.flow
     if not flow.continuous:

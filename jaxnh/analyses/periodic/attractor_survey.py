@@ -86,11 +86,10 @@ def survey(
     limit: int,
     label: str,
     transient: int,
-    least: int = 1,
     only_doublings: bool = False,
     tile: int | None = None,
 ) -> Survey:
-    """Attractor and period (from `least` up to a limit) of every lane of a batch, from start points u.
+    """Attractor and period (up to a limit) of every lane of a batch, from start points u.
 
     Lanes without an orbit by then are looked at again after the whole transient. The period is a multiple of the
     least n after which the points roughly recur; with `only_doublings`, for a cascade, 2, 4, 8, … times that alone are
@@ -100,7 +99,7 @@ def survey(
         tile: lanes a tile on their way, where they are few.
     """
     first, *late = _timings(transient, limit)
-    how = label, least, only_doublings, tile
+    how = label, only_doublings, tile
     return _survey_late(batch, lanes, _survey_at(batch, lanes, u, first, *how), late, *how)
 
 
@@ -176,7 +175,6 @@ def _survey_late(
     seen: EarlySurvey,
     late: Sequence[Timing],
     label: str,
-    least: int = 1,
     only_doublings: bool = False,
     tile: int | None = None,
 ) -> Survey:
@@ -188,7 +186,7 @@ def _survey_late(
         if not len(left):
             break
         active = active[left]
-        part, ends = _survey_at(batch.take(active), lanes, ends[left], timing, label, least, only_doublings, tile)
+        part, ends = _survey_at(batch.take(active), lanes, ends[left], timing, label, only_doublings, tile)
         write_rows(survey, active, part)
     return survey
 
@@ -207,14 +205,13 @@ def _survey_at(
     u: Float[np.ndarray, "lanes d"],
     timing: Timing,
     label: str,
-    least: int = 1,
     only_doublings: bool = False,
     tile: int | None = None,
 ) -> EarlySurvey:
     """Survey lanes some periods later, from 2 limit points of each."""
     strobe, p, tries = batch.strobe(), dict(batch.p), timing.tries
     with lanes.stage(f"{label}: {batch.count} lanes to their attractors", batch.count * timing.periods):
-        seen = _look(batch, lanes, u, timing, Recurrence(timing.limit, least, only_doublings), tile)
+        seen = _look(batch, lanes, u, timing, Recurrence(timing.limit, only_doublings), tile)
     size, recurs = seen.size, seen.recurs.T
     period, point, residual, multiplier, monodromy, *_ = _nothing_found(seen.first)
     rank, first, last = np.cumsum(recurs, axis=0), 1.0, 1.0

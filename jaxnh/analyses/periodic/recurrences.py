@@ -26,12 +26,10 @@ class Recurrence(NamedTuple):
 
     Attributes:
         limit: the longest.
-        least: the shortest.
         only_doublings: whether multiples of the least recurring period are possible only by factors of two.
     """
 
     limit: int
-    least: int
     only_doublings: bool
 
 
@@ -56,7 +54,7 @@ def recurrences(
         return lanes(recurs_after, (chart,), (points, size), static=(sought,)).T
     possible = np.zeros((sought.limit + 1, len(points)), np.bool_)
     base, nearest = np.zeros(len(points), int), np.zeros(len(points))
-    for n in range(sought.least, sought.limit + 1):
+    for n in range(1, sought.limit + 1):
         subset = np.flatnonzero((base == 0) | (n % np.maximum(base, 1) == 0))
         near = section_distance(chart, points[subset, n], points[subset, 0], size[subset]) < CLOSE
         subset = subset[near]  # most do not recur
@@ -78,7 +76,7 @@ def recurs_after(
     chart: Chart, points: Float[Array, "points d"], size: Float[Array, " d"], sought: Recurrence
 ) -> Bool[Array, " periods"]:
     """Return the same of one lane, in a program: of each period from 0 to the limit."""
-    limit, least, only_doublings = sought
+    limit, only_doublings = sought
 
     def look(known: tuple[Array, Array], n: Array) -> tuple[tuple[Array, Array], Array]:
         base, nearest = known
@@ -94,5 +92,5 @@ def recurs_after(
         return (base, nearest), recurs & (doubled | (furthest < 0.5 * nearest) & (not only_doublings))
 
     start = jnp.zeros((), jnp.int32), jnp.zeros(())
-    possible = lax.scan(look, start, jnp.arange(least, limit + 1, dtype=jnp.int32))[1]
-    return jnp.concatenate([jnp.zeros(least, bool), possible])
+    possible = lax.scan(look, start, jnp.arange(1, limit + 1, dtype=jnp.int32))[1]
+    return jnp.concatenate([jnp.zeros(1, bool), possible])

@@ -95,7 +95,7 @@ def run(options: DiagramOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Data
     attrs = {"start_states": options.start, "strobe_phase": options.phase, **section_attrs(batch)}
     variables = state_variables(batch.system, states, t, dims)
     variables |= output_variables(options.outputs or (), lanes, batch.system, states, batch.p, t, dims)
-    return xr.Dataset(statistics(variables, "strobe") if options.statistics else variables, attrs=attrs)
+    return xr.Dataset(statistics(variables) if options.statistics else variables, attrs=attrs)
 
 
 def random_starts(options: DiagramOptions, batch: LaneBatch) -> tuple[State, Parameters]:

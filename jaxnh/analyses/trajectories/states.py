@@ -112,19 +112,19 @@ _STATISTICS = (
 _OF_ANGLES = ("max", "min")  # in [−π, π), where it has neither a mean nor a deviation
 
 
-def statistics(variables: Mapping[str, Entry], dim: str) -> dict[str, Entry]:
-    """Reduce variables over a last dimension to NAME_max, NAME_min, NAME_mean and NAME_std; keep others.
+def statistics(variables: Mapping[str, Entry]) -> dict[str, Entry]:
+    """Reduce variables over strobes, their last dimension, to NAME_max, NAME_min, NAME_mean and NAME_std; keep others.
 
     Those of a trajectory that does not stay finite are NaN. Of an angle there are the first two.
     """
     reduced = dict[str, Entry]()
     for name, (dims, values, attrs) in variables.items():
-        if dims[-1:] != (dim,):
+        if dims[-1:] != ("strobe",):
             reduced[name] = dims, values, attrs
             continue
         for ending, words, reduce in _STATISTICS:
             if ending in _OF_ANGLES or attrs.get("units") != "rad":
-                kept = {**attrs, "long_name": f"{words} {attrs['long_name']} at the {dim}s"}
+                kept = {**attrs, "long_name": f"{words} {attrs['long_name']} at the strobes"}
                 reduced[f"{name}_{ending}"] = dims[:-1], reduce(values, axis=-1), kept
     return reduced
 

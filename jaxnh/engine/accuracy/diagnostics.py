@@ -63,7 +63,7 @@ def fault_of(system: System, state: State, p: Parameters, first_look: str = "") 
 def lost_rank(system: System, state: State, p: Parameters) -> str:
     """Explain what matrix is singular at a state, floats, or on the motion from it; "" where there is none."""
     flow, state = flow_of(system), state.state if isinstance(system, Section) else state
-    return describe_singularity(flow, 0.0, state, p) or describe_near_singularity(
+    return describe_singularity(flow, state, p) or describe_near_singularity(
         flow, *_motion(flow, state, p, flow.period), p
     )
 

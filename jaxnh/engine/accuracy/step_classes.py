@@ -168,7 +168,7 @@ class ClassSearch:
         for halvings in np.unique(classes[classes > 0]).tolist():
             state, p = select((self.at.start, dict(self.at.p)), classes == halvings)
             each, later = self._gaps(halvings, state, p, _CHECKED)
-            gaps += [each.ravel(), *(self._apart(halvings, 0, y, p) for y in (state, later))]
+            gaps += [each.ravel(), *(self._apart(halvings, y, p) for y in (state, later))]
         every = np.sort(np.concatenate([np.zeros(1), *gaps]))
         return bool(every[-1 - int(LEFT_OUT * len(every))] <= self.target)
 
@@ -189,8 +189,8 @@ class ClassSearch:
         gaps = self._error(image, jax.tree.map(np.ravel, met)).reshape(-1, periods)
         return gaps, select(met, np.s_[:, -1])
 
-    def _apart(self, first: int, second: int, state: State, p: Parameters) -> Float[np.ndarray, " lanes"]:
-        images = [self.lanes.iterate(self._map(halvings), 1, (state, p)) for halvings in (first, second)]
+    def _apart(self, halvings: int, state: State, p: Parameters) -> Float[np.ndarray, " lanes"]:
+        images = [self.lanes.iterate(self._map(k), 1, (state, p)) for k in (halvings, 0)]
         return self._error(*images)
 
     def _error(self, image: State, finer: State) -> Float[np.ndarray, " lanes"]:
