@@ -210,15 +210,6 @@ class LaneBatch:
         )
 
 
-def broadcast_start(start: State, lanes: int) -> State:
-    """Return a start state of floats as lanes, components of shape (lanes,)."""
-
-    def lane(component: float) -> np.ndarray:
-        return np.full(lanes, component, float)
-
-    return jax.tree.map(lane, start)
-
-
 def rate_attrs(flow: Flow) -> dict[str, str]:
     """Return the units of a rate, for `variable`; of a map also what it is counted in."""
     if not flow.continuous:

@@ -89,7 +89,6 @@ class Scale(NamedTuple):
 class Hit(NamedTuple):
     """An item that was clicked at, and which of its points is the nearest."""
 
-    layer: Layer
     item: Item
     point: int
 
@@ -105,11 +104,11 @@ def nearest(layers: Iterable[Layer], x: float, y: float, scale: Scale) -> Hit | 
         for item in layer.items:
             if layer.glyph == "band":
                 if item.x[0] <= x <= item.x[1]:
-                    band = band or Hit(layer, item, int(abs(x - item.x[1]) < abs(x - item.x[0])))
+                    band = band or Hit(item, int(abs(x - item.x[1]) < abs(x - item.x[0])))
                 continue
             far, point = _distance(item, at, scale, joined=layer.glyph == "line")
             if far <= REACH and far < best + _TOGETHER:
-                best, hit = min(best, far), Hit(layer, item, point)
+                best, hit = min(best, far), Hit(item, point)
     return hit or band
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses import chaos01, verdict
-from jaxnh.analyses.batch import LaneBatch, broadcast_start
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.exponents.gram_schmidt import gram_schmidt
 from jaxnh.analyses.periodic import period
@@ -25,7 +25,7 @@ from jaxnh.solvers import SOLVERS, SPLITTINGS
 from jaxnh.systems.lagrangian import lagrangian
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 from tests.helpers import taylor
-from tests.helpers.batches import batch_of
+from tests.helpers.batches import batch_of, broadcast_start
 from tests.helpers.cases import some_slow
 from tests.helpers.kept_programs import lanes_with_kept_programs
 

@@ -9,12 +9,13 @@ import pytest
 import xarray as xr
 
 import jaxnh
-from jaxnh.analyses.batch import LaneBatch, broadcast_start
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.manifolds import manifolds
 from jaxnh.exceptions import InputError
 from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import Point, first_order
 from tests.flows.lorenz import lorenz
+from tests.helpers.batches import broadcast_start
 
 BOX = {"x": (-1.0, 1.0), "y": (-1.0, 1.0), "z": (-1.0, 1.0)}
 

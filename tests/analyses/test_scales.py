@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxnh.analyses import chaos01, verdict
-from jaxnh.analyses.batch import Axis, LaneBatch, broadcast_start
+from jaxnh.analyses.batch import Axis, LaneBatch
 from jaxnh.analyses.cascade import doubling
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
@@ -17,6 +17,7 @@ from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import Point, first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian
+from tests.helpers.batches import broadcast_start
 
 K = 2.0**10
 # Lengths, times and the parameter are so many times what they were; powers of two, so that chaos is the same as well.

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import jaxnh
-from jaxnh.analyses.batch import LaneBatch, broadcast_start
+from jaxnh.analyses.batch import LaneBatch
 from jaxnh.analyses.equilibria.detection import detect_equilibrium
 from jaxnh.analyses.verdict import KINDS, largest_across
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.solvers import dopri8
+from tests.helpers.batches import broadcast_start
 from tests.helpers.kept_programs import session_of
 from tests.helpers.paths import ROOT
 

@@ -14,7 +14,6 @@ import xarray as xr
 import jaxnh
 from jaxnh.analyses import chaos01, verdict
 from jaxnh.analyses.base import LANE
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.analyses.periodic import period
 from jaxnh.analyses.price import map_alone
@@ -34,7 +33,7 @@ from jaxnh.systems.particle import constant_speed, disturbed_speed
 from sweeps.timing import effects as page_of_effects
 from tests.flows.unforced_particle import ANGLE, LANES, SPLITTING, START, P, write_config
 from tests.helpers import taylor
-from tests.helpers.batches import batch_of
+from tests.helpers.batches import batch_of, broadcast_start
 from tests.helpers.paths import ROOT
 
 EFFECTS = ("forcing", "coupling", "cubic_stiffness")

@@ -12,7 +12,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxnh
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.accuracy.sample_maps import SampleMaps
 from jaxnh.engine.executor.lanes import LaneExecutor
@@ -27,7 +26,7 @@ from jaxnh.systems.status import NOT_FINITE
 from tests.flows.lorenz import lorenz
 from tests.flows.particle import SYSTEMS, twin
 from tests.helpers import taylor
-from tests.helpers.batches import calibrated
+from tests.helpers.batches import broadcast_start, calibrated
 from tests.helpers.kept_programs import lanes_with_kept_programs, session_of
 from tests.helpers.measurement import UNIT, largest_difference
 

@@ -37,8 +37,8 @@ def test_the_nearest_in_pixels_is_hit():
     line = Layer("line", "line", "black", (item([0.0, 1.0], [0.26, 0.26]),))
     dots = Layer("dots", "dots", "black", (item([0.506], [0.25]),))
     hit = nearest([dots, line], 0.5, 0.25, SQUARE)
-    assert hit.layer is line
-    assert nearest([dots, line], 0.505, 0.25, SQUARE).layer is dots
+    assert hit.item is line.items[0]
+    assert nearest([dots, line], 0.505, 0.25, SQUARE).item is dots.items[0]
     assert nearest([line], 0.9, 0.26, SQUARE).point == 1
     assert nearest([line], 0.5, 0.26 + 1.01 * REACH / 500, SQUARE) is None
 
@@ -46,8 +46,8 @@ def test_the_nearest_in_pixels_is_hit():
 def test_a_band_is_hit_where_nothing_else_is():
     band = Layer("band", "band", "black", (item([0.2, 0.6], [0.0, 0.0]),))
     line = Layer("line", "line", "black", (item([0.0, 1.0], [0.5, 0.5]),))
-    assert nearest([band, line], 0.3, 0.5, SQUARE).layer is line
-    assert nearest([band, line], 0.3, 0.2, SQUARE).layer is band
+    assert nearest([band, line], 0.3, 0.5, SQUARE).item is line.items[0]
+    assert nearest([band, line], 0.3, 0.2, SQUARE).item is band.items[0]
     assert nearest([band, line], 0.7, 0.2, SQUARE) is None
 
 

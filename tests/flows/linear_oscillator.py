@@ -5,9 +5,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.systems.first_order import Point, first_order
 from tests.flows.known_flow import KnownFlow
+from tests.helpers.batches import broadcast_start
 
 DAMPING, OMEGA = 0.1, 1.3
 

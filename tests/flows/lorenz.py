@@ -7,9 +7,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.systems.first_order import Point, first_order
 from tests.flows.known_flow import KnownFlow
+from tests.helpers.batches import broadcast_start
 
 PARAMETERS = {"sigma": 10.0, "rho": 28.0, "beta": 8 / 3}
 START = (1.0, 1.0, 20.0)

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed
+from tests.helpers.batches import broadcast_start
 
 START = ((0.1, 0.1), (0.1, math.sqrt(0.99)))
 ANGLE = np.array([0.1, 0.1, math.atan2(math.sqrt(0.99), 0.1)])

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.engine.experiment import load
 from jaxnh.exceptions import ConfigError
@@ -20,7 +19,7 @@ from jaxnh.solvers import SPLITTINGS
 from jaxnh.systems.particle import constant_speed, disturbed_speed
 from tests.flows.particle import twin
 from tests.helpers import taylor
-from tests.helpers.batches import batch_of
+from tests.helpers.batches import batch_of, broadcast_start
 from tests.helpers.battery import worst
 from tests.helpers.hard_scenes import PAPER_B, hold, hold_to_rounding, roundings, show, show_sum_rule, start_at
 from tests.helpers.measurement import largest_difference

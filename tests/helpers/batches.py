@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 
-from jaxnh.analyses.batch import Axis, LaneBatch, broadcast_start
+from jaxnh.analyses.batch import Axis, LaneBatch
 from jaxnh.engine.accuracy.calibration import Calibration
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.maps.section import flow_of
+
+
+def broadcast_start(start, lanes):
+    """A start state of floats as lanes, components of shape (lanes,)."""
+    return jax.tree.map(lambda component: np.full(lanes, component, float), start)
 
 
 def batch_of(system, start, values, solver, steps, compensated=False, error=0.0, *, name="b", **others):

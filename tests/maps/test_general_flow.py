@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.general_flow import general_strobe
@@ -28,6 +27,7 @@ from jaxnh.systems.free_particle import definition, free_particle
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.particle import disturbed_speed
 from tests.flows.calm_particle import CALM, image
+from tests.helpers.batches import broadcast_start
 from tests.helpers.cases import some_slow
 from tests.helpers.convergence import check_derivatives
 from tests.helpers.diffrax_solvers import ProjectedSolver

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
@@ -18,6 +17,7 @@ from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import nystrom8, verner9
 from jaxnh.systems.first_order import Point, first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian
+from tests.helpers.batches import broadcast_start
 
 PERIOD = 2 * np.pi
 

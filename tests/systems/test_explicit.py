@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate, section_map
 from jaxnh.solvers import tsit5
@@ -15,6 +14,7 @@ from jaxnh.systems.explicit import all_velocities, free_accelerations
 from jaxnh.systems.jourdain import accelerations
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from jaxnh.systems.motion import ReducedMotion
+from tests.helpers.batches import broadcast_start
 
 PERIOD = 2 * np.pi
 

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.maps.build import cut_strobe, make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
 from jaxnh.maps.section import Section, begin
@@ -16,6 +15,7 @@ from jaxnh.solvers import dopri8
 from jaxnh.systems.first_order import Point, first_order
 from jaxnh.systems.lagrangian import Motion, lagrangian
 from tests.flows import lorenz
+from tests.helpers.batches import broadcast_start
 
 
 def pendulum(drive=0.9, damping=0.3):

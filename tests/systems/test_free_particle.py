@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
@@ -17,6 +16,7 @@ from jaxnh.solvers import dopri8
 from jaxnh.systems.free_particle import free_particle
 from jaxnh.systems.lagrangian import Motion
 from jaxnh.systems.particle_parameters import EFFECTS
+from tests.helpers.batches import broadcast_start
 from tests.helpers.measurement import UNIT
 
 WITHOUT = [(), *((name,) for name in EFFECTS), EFFECTS]

@@ -55,14 +55,12 @@ class NormalForm(NamedTuple):
         coefficients: as `TERMS` says, (COUNT,), filled up with NaN.
         at: the equilibrium, one lane.
         vectors: critical eigenvectors, conjugate ones of pairs among them, (1, d) each; none at Bogdanov–Takens points.
-        frequencies: ω of each pair.
         manifold: the centre manifold; none at Bogdanov–Takens points.
     """
 
     coefficients: Float[np.ndarray, " 4"]
     at: LinearisedEquilibria
     vectors: Sequence[Complex[np.ndarray, "1 d"]]
-    frequencies: Sequence[float]
     manifold: CentreManifold | None
 
 
@@ -73,22 +71,21 @@ def normal_form(plane: FieldPlane, point: EquilibriumPoint) -> NormalForm:
     coefficients = np.full(COUNT, np.nan)
     if kind == BOGDANOV_TAKENS:
         coefficients[:2] = _bogdanov_takens(plane, at)
-        return NormalForm(coefficients, at, (), (), None)
-    vectors, eigenvalues, frequencies = list[np.ndarray](), list[np.ndarray](), list[float]()
+        return NormalForm(coefficients, at, (), None)
+    vectors, eigenvalues = list[np.ndarray](), list[np.ndarray]()
     if kind in (CUSP, ZERO_HOPF):
         real = critical_equilibria(plane, FOLD, at.u, at.values, matrix).vector(plane)
         vectors, eigenvalues = [real], [np.zeros(1, complex)]
     for q, frequency in _pairs(plane, at, {CUSP: 0, DOUBLE_HOPF: 2}.get(kind, 1)):
         vectors += [q, np.conj(q)]
         eigenvalues += [1j * frequency, -1j * frequency]
-        frequencies.append(float(frequency[0]))
     manifold = centre_manifold(plane, at, vectors, eigenvalues, *_FORMS[kind])
     if kind == ZERO_HOPF and np.real(manifold.g[0, (2, 0, 0)][0]) < 0.0:
         vectors[0] = -vectors[0]
         manifold = centre_manifold(plane, at, vectors, eigenvalues, *_FORMS[kind])
     known = _coefficients(kind, manifold)
     coefficients[: len(known)] = known
-    return NormalForm(coefficients, at, vectors, frequencies, manifold)
+    return NormalForm(coefficients, at, vectors, manifold)
 
 
 def _pairs(plane: FieldPlane, at: LinearisedEquilibria, count: int) -> list[tuple[np.ndarray, np.ndarray]]:

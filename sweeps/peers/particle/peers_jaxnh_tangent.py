@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from jaxnh.analyses.batch import LaneBatch as AnalysisScene
-from jaxnh.analyses.batch import broadcast_start
 from jaxnh.analyses.exponents import lyapunov
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import derivatives, iterate
@@ -68,8 +67,8 @@ class Contestant(Splittings[TangentScene]):
         return run
 
     def _analysed(self, setting: Setting) -> AnalysisScene:
-        x, y, n1, n2 = unit(self.scene.states[:1])[0].tolist()
-        start = broadcast_start(((x, y), (n1, n2)), len(self.scene.values))
+        x, y, n1, n2 = (np.full(len(self.scene.values), number) for number in unit(self.scene.states[:1])[0])
+        start = (x, y), (n1, n2)
         solver, steps, error = SPLITTINGS[setting.form], int(setting.knob), setting.errors.max
         return AnalysisScene(self.system, start, {"b": self.scene.values}, solver, steps, False, error)
 
