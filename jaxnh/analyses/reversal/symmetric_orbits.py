@@ -218,7 +218,7 @@ def _conditions(
         return np.asarray(back), whole
 
     def at(x: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = select(p, number) | ({name: x[:, d]} if name else {})
+        own = select(dict(p), number) | ({name: x[:, d]} if name else {})
         (image, of_image), (half, of_half) = reversed_after(x, own, a), moved(x, own, k)
         other, of_other = reversed_after(x, own, n - k + a)
         missing = np.concatenate([batch.chart.wrap(image - x[:, :d]), batch.chart.wrap(other - half)], axis=1)
