@@ -51,7 +51,7 @@ ProgressCallback = Callable[[str, float, float], None]
 """(label, lane-periods done, lane-periods in all) of the stage in hand; an exception raised in it stops the call."""
 
 
-class _Calibrated(NamedTuple):
+class _KnownPlan(NamedTuple):
     """A calibration of a session, with what it was made for.
 
     Attributes:
@@ -69,7 +69,7 @@ class _Calibrated(NamedTuple):
     plan: Plan
 
     @classmethod
-    def of(cls, experiment: Experiment, axes: tuple[Axis, ...], requested: Requested, plan: Plan) -> _Calibrated:
+    def of(cls, experiment: Experiment, axes: tuple[Axis, ...], requested: Requested, plan: Plan) -> _KnownPlan:
         """Return the record of a plan that was made for a sweep."""
         starts, short = frozenset(start_samplers(requested)), is_short(experiment, plan, requested)
         return cls(axes, experiment.sectioned, starts, short, plan)
@@ -130,7 +130,7 @@ class Session:
         self.experiment = self._base = experiment
         self._progress = as_progress(progress)
         self._lanes = LaneExecutor(self._progress, list(devices) if devices else devices_of(experiment))
-        self._calibrated: list[_Calibrated] = []
+        self._calibrated: list[_KnownPlan] = []
 
     def _repr_html_(self) -> str:
         """HTML for a notebook: its experiment, and what calibration has chosen so far; nothing is computed."""
@@ -309,7 +309,7 @@ class Session:
         if _lies_within(axes, self.experiment.axes) and self.experiment.sectioned >= experiment.sectioned:
             experiment, axes = self.experiment, self.experiment.axes
         plan = find(experiment, axes, self._lanes, requested)
-        self._calibrated.append(_Calibrated.of(experiment, axes, requested, plan))
+        self._calibrated.append(_KnownPlan.of(experiment, axes, requested, plan))
         return plan
 
     def _compute(self, experiment: Experiment) -> tuple[Job, dict[str, xr.Dataset]]:

@@ -134,8 +134,9 @@ class AdaptiveStrobe(ReturnMap):
     backward: bool = eqx.field(static=True, default=False)
 
     @property
-    def _duration(self) -> ArrayLike:
-        return -self.length if self.backward else self.length
+    def _duration(self) -> Any:
+        length: Any = self.length
+        return -length if self.backward else length
 
     def _instant(self, since: Any) -> Any:
         return self.begin - since if self.backward else self.begin + since

@@ -28,7 +28,7 @@ class BackwardMotion(PiecewiseSmooth):
     """
 
     forward: PiecewiseSmooth
-    instant: ArrayLike
+    instant: Number
 
     def with_parameters(self, values: Parameters) -> BackwardMotion:
         """Return the motion with other values of some of the flow's own parameters."""
