@@ -24,6 +24,7 @@ from jaxnh.analyses.periodic.location import LocatedDoubling, locate, period_map
 from jaxnh.analyses.periodic.newton_on_lanes import section_distance
 from jaxnh.analyses.section_points import first_points
 from jaxnh.orbits.bifurcations.doubling_points import FEIGENBAUM, DoublingPoint
+from jaxnh.systems.rows import concatenate
 
 TRANSIENT = 512
 """Periods before the last look at the strobe points."""
@@ -228,8 +229,7 @@ def _rest(start: Start, near: PeriodScan | None, n: int) -> Iterator[PeriodScan]
         seen += [near.take(last)] if len(last) else []
     if seen:
         furthest = max(seen, key=lambda lane: start.line.sign * lane.value[0])
-        both = zip(furthest, start.line.take(slice(-1, None)), strict=True)
-        yield PeriodScan(*(np.concatenate(leaves) for leaves in both))
+        yield concatenate([furthest, start.line.take(slice(-1, None))])
 
 
 class _Level(NamedTuple):
