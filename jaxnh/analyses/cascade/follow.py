@@ -222,7 +222,7 @@ def _brackets(steps: _Steps, start: Start, known: list[_Level], n: int) -> Itera
 
 
 def _rest(start: Start, near: PeriodScan | None, n: int) -> Iterator[PeriodScan]:
-    """From where the period-n orbit was seen furthest to the end of the line, as others escape or are on another one."""
+    """From where the period-n orbit was seen furthest to the end of the line, as others escape or are elsewhere."""
     seen = [start.line.take(slice(run.last, run.last + 1)) for run in start.runs if run.period == n]
     if near is not None:
         last = np.flatnonzero(near.period == n)[-1:]
