@@ -339,6 +339,7 @@ OTHERS = {
     ),
     "TypeError": {
         "maps/build.py": "a solver that does not go with a flow: an error of the caller's program",
+        "systems/backward_motion.py": "motions that become one, which have no way back: caught by analyses",
         "maps/inverse.py": "a map that has no inverse: an error of the caller's program, whom analyses check first",
         "storage/hdf5.py": "within one that is read: among UNREADABLE, caught by all readers",
     },

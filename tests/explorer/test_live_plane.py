@@ -84,7 +84,7 @@ def test_a_diagram_of_two_axes_becomes_a_plane_and_says_so():
 
 def test_basins_of_random_starts_are_no_plane():
     basins = {"n_starts": 16, "box": {"x1": [-1.0, 1.0]}}
-    with pytest.raises(InputError, match=r"basins\.starts: explore shows basins over start states, a lane each"):
+    with pytest.raises(InputError, match=r"basins\.n_starts: explore shows basins over start states, a lane each"):
         live(jaxnh.Experiment.from_dict({**CONFIG, "analyses": {"basins": basins}}), NullProgress(), COLUMNS)
 
 
