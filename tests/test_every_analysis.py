@@ -572,6 +572,7 @@ def no_edges(attractors, word):
 
 WITHOUT_SECTION = "the system has no period, and {} looks at it on a section"
 NO_REVERSAL = "no change of signs is a reversal"
+JUMPS_HAVE_NONE = "whether a reversal takes jumps to jumps is not looked at"
 NO_EQUILIBRIA = "a flow with a clock has no equilibria, which homoclinic orbits connect"
 SADDLES_OVER_ONE = "homoclinic orbits are followed over two axes of more than one value, and the sweep has {}"
 NOT_ISOLATED = "cycles and equilibria of a flow with constraints are not isolated"
@@ -750,7 +751,7 @@ KINDS = {
         | dict.fromkeys(
             ("portrait", "poincare", "diagram"), follows(moebius.moebius_in_its_frame, ("u", "v"), even=True)
         )
-        | {"homoclinic": NOT_SMOOTH},
+        | {"homoclinic": NOT_SMOOTH, "reversal": JUMPS_HAVE_NONE},
         moebius.MOEBIUS_WITH_JUMPS,
     ),
     "a right-hand side with jumps on a section": Kind(
@@ -765,6 +766,7 @@ KINDS = {
         )
         | {
             "homoclinic": NOT_SMOOTH,
+            "reversal": JUMPS_HAVE_NONE,
             "verdict": words("limit_cycle"),
         },
         moebius.MOEBIUS_WITH_JUMPS_IN_TIME,

@@ -23,7 +23,7 @@ from jaxnh.maps.batching import as_batched
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.section import Crossing, Section
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.state import State, masked
+from jaxnh.systems.state import State, error_components, masked
 from jaxnh.systems.status import NO_RETURN, NOT_FINITE
 
 _ON_SECTION = 1e-9  # a state as near as this is on the section, and leaves it: of its value and of a step's way across
@@ -357,7 +357,7 @@ def _compose(step_map: ReturnMap, pushed: Pushforward, p: Parameters, volume: bo
 
 
 def _finite(state: State) -> Array:
-    return jnp.isfinite(sum(x * x for component in state[:2] for x in component))
+    return jnp.isfinite(sum(x * x for component in error_components(state) for x in component))
 
 
 def _cubic(ends: tuple[Array, Array, Array, Array], share: Array) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from jaxnh.maps.event_heights import Heights, any_of, as_vector, pick
 from jaxnh.maps.general_flow import Moving
 from jaxnh.maps.saltation import Arrival, Reading
 
+_AT_ONE_TIME = 1.0 - 2.0**-20  # share of a trial up to an event from which on another is at the same time
 _BESIDE_END = 1.0 + 2.0**-20  # share up to which a passage at the end of a trial is looked for
 
 
@@ -147,9 +148,13 @@ def passages_within(
         for there, (now, low, high, hit) in zip(arriving, between, strict=True)
     ]
     passed = [part[3] & finite for part in between]
-    looked_for = [(seeking | (march.settled & ~march.again)) & (march.sought != k) | seeking for k in numbers]
-    checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
     guesses = [straight_share(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
+    earlier = [(guess < _AT_ONE_TIME) | (k < march.sought) for guess, k in zip(guesses, numbers, strict=True)]
+    looked_for = [
+        seeking | (march.settled & ~march.again & (march.sought != k) & e)
+        for k, e in zip(numbers, earlier, strict=True)
+    ]
+    checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
     turns = [near_turn(e, side) for e, side in zip(ends, before, strict=True)]
     turns = [(turn, near & seeking & finite) for turn, near in turns]
     candidates = as_vector([jnp.where(hit, guess, jnp.inf) for hit, guess in zip(checked, guesses, strict=True)])

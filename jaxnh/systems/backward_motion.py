@@ -1,7 +1,7 @@
 """Piecewise smooth motions back in time: ẏ = −f(y, t₀ − t), its walls and surfaces those of f.
 
 Steps that end at events meet them on the way back as well. At a wall that the flow has come to, a jump is undone; where
-the flow passes it the other way, nothing is.
+the flow passes it the other way, nothing is. Of jumps at one time the last is undone first.
 """
 
 from __future__ import annotations
@@ -62,18 +62,25 @@ class BackwardMotion(PiecewiseSmooth):
     def heights(
         self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...] | None = None
     ) -> tuple[Number, ...]:
-        """Heights above the surfaces, and above the walls of the states before jumps."""
-        return self.forward.heights_before_jumps(self.instant - t, y, p, sides)
+        """Heights above the walls of the states before jumps, the last wall first, and above the surfaces."""
+        heights = self.forward.heights_before_jumps(self.instant - t, y, p, sides and self._forward_order(sides))
+        return self._forward_order(heights)
 
     def branch(self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]) -> PiecewisePoint:
         """Time derivative of a state by a branch of the field."""
-        return jax.tree.map(lambda rate: -rate, self.forward.branch(self.instant - t, y, p, sides))
+        rates = self.forward.branch(self.instant - t, y, p, self._forward_order(sides))
+        return jax.tree.map(lambda rate: -rate, rates)
 
     def on_constraints(
         self, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
     ) -> PiecewisePoint:
         """The state brought back to the constraints."""
-        return self.forward.on_constraints(self.instant - t, y, p, sides)
+        return self.forward.on_constraints(self.instant - t, y, p, self._forward_order(sides))
+
+    def _forward_order(self, each: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Numbers of walls and surfaces in the order of the flow, or back: walls from last to first."""
+        walls = len(self.jumps)
+        return *each[:walls][::-1], *each[walls:]
 
     @property
     def arrives_at_ends(self) -> bool:
@@ -84,7 +91,7 @@ class BackwardMotion(PiecewiseSmooth):
         self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
     ) -> PiecewisePoint:
         """The state before a jump of the flow; as it is where the flow passes the wall the way that is no jump."""
-        now = self.instant - t
+        now, number, sides = self.instant - t, len(self.jumps) - 1 - number, self._forward_order(sides)
         before = self.forward.before_jump(number, now, y, p, sides)
         if self.forward.jumps[number] == "both":
             return before
@@ -110,7 +117,10 @@ def check_invertible(flow: Flow) -> None:
     """
     if not isinstance(flow, PiecewiseSmooth):
         return
-    if flow.loses_rank:
+    if flow.holding or any(flow.begins):
         raise TypeError("motions that stick, rest or meet constraints, where several become one, have no way back")
-    if not flow.has_linear_jumps:
-        raise TypeError("of a jump that is not linear in the state it is not known where it came from")
+    if flow.loses_rank or not flow.has_linear_jumps:
+        raise TypeError(
+            "where a motion came from is not known of jumps that are not linear in the state or take several states to "
+            "one, and in mechanics of those by then"
+        )

@@ -30,6 +30,7 @@ DIRECTIONS = ("up", "down", "both")
 """Directions in which a wall may be passed: its height rises through zero, falls, or either."""
 
 
+_LINEAR = 1e-12  # what a jump that is linear leaves beside its slopes, of its size
 _MANY = 12  # surfaces: a map across twenty is compiled in 8 s of processor in place of 70, their heights as a vector
 
 
@@ -344,11 +345,19 @@ def _leaps(jumps: int, leaps: Sequence[tuple[int, ...]]) -> tuple[tuple[int, ...
 
 
 def _is_linear(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: int) -> bool:
-    """Return whether a jump is linear in the state, which its slopes say."""
+    """Return whether a jump is linear in the state: its slopes do not depend on it, nor does what they leave."""
+
+    def after(y: Any, t: Any) -> Any:
+        return jnp.stack([jnp.asarray(x, jnp.float64) for x in then(tuple(y), t)])
 
     def slopes(y: Any, t: Any) -> Any:
-        return jax.jacfwd(lambda z: jnp.stack([jnp.asarray(x, jnp.float64) for x in then(tuple(z), t)]))(y)
+        return jax.jacfwd(after)(y, t)
 
+    random = np.random.default_rng(0)
+    states = [size * random.uniform(-1.0, 1.0, dimension) for size in (0.0, 0.1, 1.0, 1.0, 10.0, 10.0)]
+    left = np.stack([after(y, 0.1) - slopes(y, 0.1) @ y for y in states])  # a sign or a step has no slope
+    if not np.allclose(left, left[0], rtol=0.0, atol=_LINEAR * (10.0 + np.max(np.abs(left)))):
+        return False
     return not Program(slopes, np.zeros(dimension), 0.0).output_depends([1, 0])
 
 

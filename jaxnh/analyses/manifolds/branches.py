@@ -24,6 +24,7 @@ from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import section_map
 from jaxnh.systems.discrete_map import DiscreteMap
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
 _UNDOES = 1e-5  # sizes: how far from it an inverse map may take a point back
 
@@ -140,6 +141,8 @@ def grow_branches(
             deviation[b] = distance_from(branch, part, curves.size[b], wrap)
             largest[b] = np.max(np.abs(branch.points) / curves.size[b])
         deviation = error_of_distance(deviation, largest)
+        if isinstance(batch.flow, PiecewiseSmooth):  # events may cut steps, and twice as many, into the same parts
+            deviation = np.maximum(deviation, batch.error_estimate)
     return BranchSet((curves, fine), branches, deviation)
 
 

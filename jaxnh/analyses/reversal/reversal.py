@@ -61,6 +61,7 @@ from jaxnh.maps.protocol import ReturnMap
 from jaxnh.maps.section import reports
 from jaxnh.maps.single_precision import in_precision
 from jaxnh.systems.backward_motion import check_invertible
+from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.readout import status
 from jaxnh.systems.reversal import declared_reversal, describe_reversal
 from jaxnh.systems.rows import select
@@ -95,6 +96,8 @@ def check(options: ReversalOptions, setting: Setting) -> None:
     """
     if not setting.flow.continuous:
         raise OptionError("a map is not followed backwards; a reversal is one of a flow")
+    if isinstance(setting.flow, PiecewiseSmooth) and setting.flow.jumps:
+        raise OptionError("whether a reversal takes jumps to jumps is not looked at: motions with jumps have none here")
     try:
         check_invertible(setting.flow)
     except TypeError as error:
