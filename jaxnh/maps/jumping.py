@@ -144,6 +144,7 @@ class _Lane:
         self.strobe, self._passage = strobe, passage
         system = self._system = strobe.system
         self._jumps, self._holding = len(system.jumps), system.holding
+        self._kept_side = -1.0 if system.arrives_at_ends else 1.0  # of a wall that a motion comes to at the end
         self._numbers = numbers_of(system)
         self._either = [way == "both" for way in system.jumps] + [True] * (len(self._numbers) - self._jumps)
         self.most_events = _MOST_IMPACTS if any(system.holds[: self._jumps]) else _MOST_EVENTS
@@ -216,15 +217,13 @@ class _Lane:
         ahead = self._restore(t, self._advance(march.t, h, march.side, march.moving), march.side)
         reading, finite = self._passage.read(t, ahead, march.side), _finite(ahead.state)
         before = self._sides_of_heights(march.side)
-        numbers, either, on_wall = self._numbers, self._either, self._on_wall(march, reading)
-        kept = -1.0 if self._system.arrives_at_ends else 1.0
-        passages = passages_within(march, reading, h, before, numbers, either, seeking, finite, on_wall, kept)
+        passages = self._passages(march, reading, h, before, seeking, finite)
         seen, sought = passages.seen, march.sought
         pausing = ~seen & jnp.isfinite(passages.turn)
         fresh = seen | pausing  # a passage or a turn to go to
 
         # Newton on the one that is sought.
-        either = pick(sought, [jnp.bool_(x) for x in either])
+        either = pick(sought, [jnp.bool_(x) for x in self._either])
         side = pick(sought, before)
         rising = jnp.where(either, -side, 1.0)
         sought_height, sought_rate = pick(sought, reading.height), pick(sought, reading.rate)
@@ -269,6 +268,15 @@ class _Lane:
         return ended, arrival
 
     # ---- parts of a trial
+
+    def _passages(
+        self, march: March, reading: Reading, h: Array, before: Heights, seeking: Array, finite: Array
+    ) -> Passages:
+        """Passages within what a trial of length h has gone over (`passages_within`)."""
+        on_wall = self._on_wall(march, reading)
+        return passages_within(
+            march, reading, h, before, self._numbers, self._either, seeking, finite, on_wall, self._kept_side
+        )
 
     def _on_wall(self, march: March, reading: Reading) -> Heights:
         """Heights below which a motion that comes nearer has arrived with the end of a trial, of the last step."""

@@ -117,7 +117,7 @@ def passages_within(
     seeking: Array,
     finite: Array,
     on_wall: Heights,
-    kept_side: float = -1.0,
+    kept_side: float,
 ) -> Passages:
     """Locate passages within what a trial of length h has gone over, and turns of heights near zero.
 
@@ -132,15 +132,7 @@ def passages_within(
         on_wall: height below which a motion that comes nearer arrives with the end of the trial.
         kept_side: 1.0 where that is no passage, and −1.0 where it is.
     """
-    kept = [
-        jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
-        for x, r, s in zip(reading.height, march.rounding, before, strict=True)
-    ]
-    arriving = [
-        seeking & (s != 0.0) & (jnp.abs(x) <= near) & (rate * b < 0.0)
-        for x, near, rate, b, s in zip(kept, on_wall, reading.rate, before, march.side, strict=True)
-    ]
-    kept = [jnp.where(there, kept_side * 1e-300 * b, x) for there, b, x in zip(arriving, before, kept, strict=True)]
+    kept, arriving = _heights_at_end(march, reading, before, seeking, on_wall, kept_side)
     ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
     between = [crossing_between(e, side, either=both) for e, side, both in zip(ends, before, either, strict=True)]
     between = [
@@ -171,3 +163,19 @@ def passages_within(
         sure=pick(first, crossed),
         turn=jnp.min(as_vector([jnp.where(near, turn, jnp.inf) for turn, near in turns])),
     )
+
+
+def _heights_at_end(
+    march: March, reading: Reading, before: Heights, seeking: Array, on_wall: Heights, kept_side: float
+) -> tuple[list[Array], list[Array]]:
+    """Heights at the end of a trial, near zero on the side that they count for, and which arrive there."""
+    kept = [
+        jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
+        for x, r, s in zip(reading.height, march.rounding, before, strict=True)
+    ]
+    arriving = [
+        seeking & (s != 0.0) & (jnp.abs(x) <= near) & (rate * b < 0.0)
+        for x, near, rate, b, s in zip(kept, on_wall, reading.rate, before, march.side, strict=True)
+    ]
+    kept = [jnp.where(there, kept_side * 1e-300 * b, x) for there, b, x in zip(arriving, before, kept, strict=True)]
+    return kept, arriving
