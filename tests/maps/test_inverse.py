@@ -23,6 +23,7 @@ pytestmark = pytest.mark.usefixtures("quick_compiling")
 TURN = 2 * np.pi
 KICKS = [0.1, 0.1 + 1 / 3, 0.1 + 2 / 3]
 CLOSE = 1e-9
+PASSED_WITHIN_A_STEP = "a corner, on a section, steps of a lane's own"
 
 
 def square_wave():
@@ -165,7 +166,7 @@ def clock_set_back():
 CASES |= {
     "impacts and kicks": (lambda: flow_of(impacts, x=-0.1), "tsitouras_papakostas8", 60, [-0.2, 0.9]),
     "kicks at one time": (lambda: flow_of(kicks_at_one_time, x=-0.1), "tsitouras_papakostas8", 12, [-0.2, 0.9]),
-    "a corner, on a section, steps of a lane's own": (
+    PASSED_WITHIN_A_STEP: (
         lambda: Section(flow_of(bent_van_der_pol, x=0.1), "x", 0, 0.0, "up"), "adaptive_tsitouras_papakostas8", 3000, None,
     ),
     "a clock that is set back": (
@@ -185,8 +186,9 @@ def test_inverses_undo_maps_and_their_derivatives(case):
     again = once(back, there.image)
     size = np.maximum(np.abs(u), np.abs(there.image))
     assert np.abs(again.image - u).max() < CLOSE * size.max() * np.abs(again.monodromy).max()
-    product = again.monodromy @ there.monodromy  # steps of a lane's own do not end at corners, and leave 1e-6
-    assert np.abs(product - np.eye(len(u))).max() < 1e-5 * np.abs(again.monodromy).max() * np.abs(there.monodromy).max()
+    product, both = again.monodromy @ there.monodromy, np.abs(again.monodromy).max() * np.abs(there.monodromy).max()
+    # Steps of a lane's own pass corners within one of them, whose length is not differentiated.
+    assert np.abs(product - np.eye(len(u))).max() < (1e-5 if case == PASSED_WITHIN_A_STEP else 1e-6) * both
     assert np.abs(there.image - u).max() > 0.001
 
 
