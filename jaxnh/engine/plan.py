@@ -75,9 +75,15 @@ def calibrate(
         sampled = sum(count_of(row.start) for row in rows)  # random starts among them, more than the sweep has lanes
         tile = cost_model.lanes_a_tile(max(sampled, experiment.sweep.lanes, 2))  # of one lane too there are many states
         few = lanes.in_tiles(tile) if tile < lanes.tile else lanes  # whose programs analyses share
-        return Calibration(rows, few, experiment.precision, target, asked.sizes, solver)
+        calibration = Calibration(rows, few, experiment.precision, target, asked.sizes, solver)
     except AccuracyError as error:
         raise AccuracyError(f"{experiment.label}: sweep: {error}") from None
+    if calibration.passes_jumps:
+        raise AccuracyError(
+            f"{experiment.label}: accuracy.solver: {asked.solver} takes each lane by steps of its own across surfaces "
+            "where the right-hand side jumps, and tangents along them miss that; leave the solver out"
+        )
+    return calibration
 
 
 def start_samplers(requested: Requested) -> dict[str, Starts]:

@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 
 from jaxnh.engine.accuracy.calibration import Calibration
+from jaxnh.engine.accuracy.first_look import field_jumps
+from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.iterate import iterate
 from jaxnh.maps.section import Section, begin
 from jaxnh.solvers import ADAPTIVE, SOLVERS
+from jaxnh.systems.corners import with_switches
 from jaxnh.systems.first_order import first_order
+from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.helpers.commands import run_here
 from tests.helpers.kept_programs import lanes_with_kept_programs
 from tests.helpers.short_portrait import short_portrait
@@ -158,6 +162,55 @@ def test_a_jump_stays_refused(lanes):
 
     with pytest.raises(AccuracyError, match="the right-hand side jumps"):
         plan_of(define, (1.0, 0.3), 1.0, lanes, target=1e-10)
+
+
+def square_wave(rate=1.0):
+    """x'' = rate x − x'/10 + 0.3 sign(sin ωt), of period 2.4."""
+    rhs = lambda y, t: (y[1], rate * y[0] - 0.1 * y[1] + 0.3 * jnp.sign(jnp.sin(2.0 * jnp.pi * t / 2.4)))  # noqa: E731
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2.4}
+
+
+def coulomb(rate=0.2):
+    """x'' = −x − rate sign(x') + cos 1.7t."""
+    rhs = lambda y, t: (y[1], -y[0] - rate * jnp.sign(y[1]) + jnp.cos(1.7 * t))  # noqa: E731
+    return {"rhs": rhs, "coordinates": ("x", "v"), "period": 2.0 * np.pi / 1.7}
+
+
+def corner(rate=0.2):
+    """x'' = −x − rate |x|, whose motions turn at x = 0."""
+    return {"rhs": lambda y, t: (y[1], -y[0] - rate * jnp.abs(y[0])), "coordinates": ("x", "v"), "time_unit": 10.0}
+
+
+def test_a_motion_that_leaves_a_saddle_needs_no_steps_of_its_own(lanes):
+    """It grows by 9.8 a period, to 10¹⁶⁸ while samples are taken, where squares overflow whatever the steps."""
+    flow = piecewise_smooth(with_switches(square_wave, {"rate": 1.0}), {"rate": 1.0}, ("rate",))
+    p = {"rate": np.array([1.0])}
+    lane = SweepPoints(flow, flow.start({"x": np.array([0.1]), "v": np.array([0.0])}), p, p)
+    assert Calibration([lane], lanes, target=TARGET).cheapest(TARGET).solver.name not in ADAPTIVE
+
+
+@pytest.mark.parametrize(
+    ("define", "jumps"), [(square_wave, (True, False)), (coulomb, (True, True)), (corner, (False, False))]
+)
+def test_where_the_field_jumps(lanes, define, jumps):
+    """At any surface that motions pass, and at one that moves with the state; a corner is no jump."""
+    flow = piecewise_smooth(with_switches(define, {"rate": 0.2}), {"rate": 0.2}, ("rate",))
+    start = flow.start({"x": np.array([0.1, 0.2]), "v": np.array([0.3, -0.5])})
+    p = {"rate": np.array([0.2, 0.3])}
+    assert field_jumps(SampleMaps([flow], lanes), Samples(start, p, np.zeros(2, int), p)) == jumps
+
+
+def test_own_steps_asked_for_are_refused_where_the_field_jumps(tmp_path):
+    """Exponents by them would be those of another flow: −0.1 twice in place of −0.1373, with an error bar of 10⁻¹¹."""
+    (tmp_path / "own.py").write_text(
+        "import jax.numpy as jnp\n\n\ndef system(rate=0.2):\n"
+        "    rhs = lambda y, t: (y[1], -y[0] - 0.2 * y[1] - rate * jnp.sign(y[1]) + jnp.cos(1.7 * t))\n"
+        "    return dict(rhs=rhs, coordinates=('x', 'v'), period=2 * jnp.pi / 1.7)\n"
+    )
+    (tmp_path / "own.yaml").write_text(short_portrait(2.0, 0.2, 1e-6))
+    run = run_here("own.yaml", "accuracy={solver: rodas5p, target: 1.0e-6}", cwd=tmp_path)
+    assert run.returncode == 2
+    assert "accuracy.solver: rodas5p takes each lane by steps of its own across surfaces where" in run.stderr
 
 
 @pytest.mark.parametrize("name", ["rodas5p", "adaptive_tsit5"])

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding, order_on_motion
+from jaxnh.engine.accuracy.first_look import field_jumps
 from jaxnh.engine.accuracy.own_steps import SPLIT, TooDearError, agree, check_price, has_own_steps, spread_over_unit
 from jaxnh.engine.accuracy.reference import MOST_KICKS, NO_MATTER, refine_reference, roundings_of_sums
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples, differences, gaps_between
@@ -99,6 +100,8 @@ class Calibration:
     Attributes:
         floor: how far apart the two finest references are: what rounding leaves, or the steps that there can be.
         sizes: of the motion, by coordinate; none where errors are absolute.
+        passes_jumps: whether the solver asked for takes each lane by steps of its own across surfaces where the field
+            jumps: errors of such steps are none of a smooth map, and tangents along them miss the jump.
     """
 
     def __init__(
@@ -122,9 +125,11 @@ class Calibration:
             AccuracyError: no lane has a period that can be computed.
         """
         self._precision, self._rows, self._given, self._target = precision, rows, sizes or {}, target or 0.0
+        self.passes_jumps = False
         maps = SampleMaps([row.system for row in rows], lanes)
         if isinstance(solver, AdaptiveMethod):
             self._measure(maps.with_own_steps(), (solver,))
+            self.passes_jumps = any(field_jumps(maps, self._samples))
             return
         try:
             self._measure(maps)
@@ -183,7 +188,8 @@ class Calibration:
         try:
             self._measure(maps.with_own_steps(explicit=explicit))
             before_it = self._maps, self._reference, self._samples, self._sizes
-            if kicks and not agree(*before_it, maps, kicks, self._target):
+            tangents_jump = field_jumps(maps, self._samples)[1]
+            if tangents_jump or (kicks and not agree(*before_it, maps, kicks, self._target)):
                 return False
             before = math.inf
             while 0.0 < self._target < self.floor <= 0.5 * before:

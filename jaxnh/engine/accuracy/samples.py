@@ -38,6 +38,7 @@ _MOST_SEED_KICKS = 1 << 16
 _STEPS_A_PART = 64  # of a unit of time: so short that chaos has not yet enlarged everything in it
 _GROWS = 5.0  # times that the largest coordinate grows in each quarter of a path: without bound
 _FAR_GROWN = 1e3  # times what it was at the start: no size of a motion
+_INFINITE = 1e100  # a coordinate beyond it has gone to infinity: products of three overflow, whatever the steps
 _FAR = 4.0 * np.pi  # of an angle that has run on
 _SAME_RATES = 1e-8  # of their sum, that rounding of an angle of many turns may change them by
 _RETURNS_FOLLOWED = 2.0  # of the longest seen, beyond the last that steps have come to
@@ -177,18 +178,20 @@ def _follow_by(
 def _lost_on_the_way(maps: SampleMaps, start: Samples, states: State, last: State, first: int = 2) -> int:
     """Return a lane that steps lose in period `first` or later but whose motion stays finite; −1: there is none.
 
-    One that has run out of steps of its own, as on its way to infinity, needs no finer ones while others go on.
+    One that has run out of steps of its own, as on its way to infinity, needs no finer ones while others go on; and one
+    that leaves a saddle of a linear flow may be as good as at infinity while all its coordinates are numbers.
     """
     every = jax.tree.map(lambda leaf, end: np.concatenate([leaf, end[:, None]], axis=1), states, last)
     finite = is_finite(every)
     when = np.argmin(finite, axis=1)
     lost = finite[:, 0] & (when >= first)
+    lane = np.arange(len(when))
+    lost &= _moduli(select(every, (lane, np.maximum(when - 1, 0)))) < _INFINITE
     if maps.adaptive and np.any(finite[:, -1]):
         ended = np.asarray(jax.tree.leaves(every)[0], float)[:, -1]
         lost &= status_in_nan(ended) != OUT_OF_STEPS
     if not np.any(lost):
         return -1
-    lane = np.arange(len(when))
     before, after = (select(every, (lane, at)) for at in (when - 1, when))
     return _stays_finite(maps, start._replace(states=before), after, lost, _longest_return(maps, every))
 
@@ -368,8 +371,13 @@ def _grows(states: State) -> Bool[np.ndarray, "lanes periods"]:
 
     What it has grown to is no size of a motion that errors could be relative to.
     """
-    moduli = np.max([np.abs(leaf) for leaf in jax.tree.leaves(states)], axis=0)
+    moduli = _moduli(states)
     parts = np.array_split(moduli, 4, axis=1)
     quarters = np.stack([part.max(axis=1) for part in parts])
     growing = np.all(quarters[1:] > _GROWS * quarters[:-1], axis=0)
     return growing[:, None] & (moduli > _FAR_GROWN * moduli[:, :1])
+
+
+def _moduli(states: State) -> Float[np.ndarray, ...]:
+    """Largest modulus of any coordinate of each state."""
+    return np.max([np.abs(leaf) for leaf in jax.tree.leaves(states)], axis=0)
