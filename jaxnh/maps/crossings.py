@@ -289,8 +289,12 @@ def side_of_section(section: Section, height: Array, rate: Array, step: ArrayLik
         rate: of the height.
         step: length of a step.
     """
-    near = _ON_SECTION * (abs(section.value) + jnp.abs(rate) * step)
-    return jnp.sign(jnp.where(jnp.abs(height) < near, rate, height))
+    return jnp.sign(jnp.where(jnp.abs(height) < near_section(section, rate, step), rate, height))
+
+
+def near_section(section: Section, rate: Array, step: ArrayLike) -> Array:
+    """Height below which a state is on the section."""
+    return _ON_SECTION * (abs(section.value) + jnp.abs(rate) * step)
 
 
 def _state_of(carried: Carried) -> State:

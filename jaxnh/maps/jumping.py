@@ -144,7 +144,6 @@ class _Lane:
         self.strobe, self._passage = strobe, passage
         system = self._system = strobe.system
         self._jumps, self._holding = len(system.jumps), system.holding
-        self._kept_side = -1.0 if system.arrives_at_ends else 1.0  # of a wall that a motion comes to at the end
         self._numbers = numbers_of(system)
         self._either = [way == "both" for way in system.jumps] + [True] * (len(self._numbers) - self._jumps)
         self.most_events = _MOST_IMPACTS if any(system.holds[: self._jumps]) else _MOST_EVENTS
@@ -273,15 +272,18 @@ class _Lane:
         self, march: March, reading: Reading, h: Array, before: Heights, seeking: Array, finite: Array
     ) -> Passages:
         """Passages within what a trial of length h has gone over (`passages_within`)."""
-        on_wall = self._on_wall(march, reading)
+        last, grid = seeking & (march.step == self.strobe.steps - 1), jnp.asarray(self.strobe.grid)
+        near = [jnp.where(last, _near_wall(rate, grid), -1.0) for rate in reading.rate]
+        kept = [-1.0 if self._system.arrives_at_ends else 1.0] * len(near)
+        earlier = [k < march.sought for k in self._numbers]
+        if (first := self._system.passed_before_jumps) is not None:
+            at_jump = march.settled & (march.sought < self._jumps)
+            near[first] = jnp.where(at_jump, _near_wall(reading.rate[first], grid), near[first])
+            kept[first], other = -1.0, march.sought != first
+            earlier = [(now & other) | ((k == first) & at_jump) for k, now in zip(self._numbers, earlier, strict=True)]
         return passages_within(
-            march, reading, h, before, self._numbers, self._either, seeking, finite, on_wall, self._kept_side
+            march, reading, h, before, self._numbers, self._either, seeking, finite, near, kept, earlier
         )
-
-    def _on_wall(self, march: March, reading: Reading) -> Heights:
-        """Heights below which a motion that comes nearer has arrived with the end of a trial, of the last step."""
-        last, grid = march.step == self.strobe.steps - 1, jnp.asarray(self.strobe.grid)
-        return tuple(jnp.where(last, _near_wall(rate, grid), -1.0) for rate in reading.rate)
 
     def _begin_after_jump(self, reading: Reading, sides: Heights, grid: Array) -> AfterEvent:
         """A lane at the beginning, after the jumps of walls that it begins on."""

@@ -1,7 +1,8 @@
 """The map from crossing to crossing of a section, of flows whose state jumps or whose field changes.
 
 The section is one more surface that steps end on (`jumping`), at which nothing changes. So crossings lie between
-events, and a jump that carries a motion over the section is none.
+events, and a jump that carries a motion over the section is none. On a wall that lies on the section a motion is at a
+crossing as it arrives, before it jumps, and at another one as it leaves, if it goes back over the section.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxnh.maps.batching import as_batched
-from jaxnh.maps.crossings import side_of_section
+from jaxnh.maps.crossings import near_section, side_of_section
 from jaxnh.maps.general_flow import Moving, lanes_per_tile, own_parameters, stages_in_loop
 from jaxnh.maps.jumping import JumpingStrobe
 from jaxnh.maps.passages import March, Trials
@@ -65,6 +66,11 @@ class _WithSection(PiecewiseSmooth):
     def constrained(self) -> bool:
         """Return whether states are brought back to constraints after each step."""
         return self.as_it_is.constrained
+
+    @property
+    def passed_before_jumps(self) -> int | None:
+        """Return the number of the section: on a wall a motion has come to it, and jumps."""
+        return len(self.jumps) + self.switches - 1 if self.jumps else None
 
     @property
     def begins(self) -> tuple[bool, ...]:
@@ -195,8 +201,7 @@ class JumpingSection(ReturnMap):
             p, by_p, volume=at_begin.log_volume is not None
         )
         march = lane.begin(at_begin, grid)
-        side = side_of_section(self.system, march.height[-1], march.rate[-1], self.step)
-        march = march._replace(side=(*march.side[:-1], side))
+        march = self._on_side(march)
         first = _Approach(march, start.t, by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])
 
         def unfinished(search: _Approach) -> Array:
@@ -227,6 +232,25 @@ class JumpingSection(ReturnMap):
             return approach, arrival
 
         return first, unfinished, advance
+
+    @property
+    def _walls(self) -> tuple[str, ...]:
+        """Directions in which walls are passed."""
+        flow = self.system.flow
+        assert isinstance(flow, PiecewiseSmooth)
+        return flow.jumps
+
+    def _on_side(self, march: March) -> March:
+        """A lane at the beginning, on the side that it leaves for; on a wall it has arrived, and not jumped yet."""
+        height, rate = march.height[-1], march.rate[-1]
+        side, near = side_of_section(self.system, height, rate, self.step), near_section(self.system, rate, self.step)
+        walls = [
+            jnp.where((jnp.abs(h * rate) < near * jnp.abs(r)) & ((way == "both") | (r > 0.0)), -jnp.sign(r), s)
+            for h, r, s, way in zip(march.height, march.rate, march.side, self._walls, strict=False)
+        ]
+        beside = jnp.where(jnp.abs(height) < near, 2.0 * jnp.abs(height), 0.0)
+        rounding = (*march.rounding[:-1], beside) if walls else march.rounding
+        return march._replace(side=(*walls, *march.side[len(walls) : -1], side), rounding=rounding)
 
     def _on_section(
         self, moving: Moving, field: PiecewisePoint, leaving: Array, rate: Array

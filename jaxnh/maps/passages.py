@@ -17,6 +17,7 @@ from jaxnh.maps.general_flow import Moving
 from jaxnh.maps.saltation import Arrival, Reading
 
 _AT_ONE_TIME = 1.0 - 2.0**-20  # share of a trial up to an event from which on another is at the same time
+_AT_ONCE = 2.0**-20  # share of a trial below which a passage is at its beginning
 _BESIDE_END = 1.0 + 2.0**-20  # share up to which a passage at the end of a trial is looked for
 
 
@@ -116,8 +117,9 @@ def passages_within(
     either: Sequence[bool],
     seeking: Array,
     finite: Array,
-    on_wall: Heights,
-    kept_side: float,
+    on_wall: Sequence[Array],
+    kept_side: Sequence[float],
+    earlier: Sequence[Array],
 ) -> Passages:
     """Locate passages within what a trial of length h has gone over, and turns of heights near zero.
 
@@ -130,9 +132,10 @@ def passages_within(
         seeking: whether the trial is a whole step, in which passages are looked for.
         finite: whether the state at its end is.
         on_wall: height below which a motion that comes nearer arrives with the end of the trial.
-        kept_side: 1.0 where that is no passage, and −1.0 where it is.
+        kept_side: of each height 1.0 where that is no passage, and −1.0 where it is.
+        earlier: of each height whether it is passed before the one that is sought, at the same time.
     """
-    kept, arriving = _heights_at_end(march, reading, before, seeking, on_wall, kept_side)
+    kept, arriving = _heights_at_end(march, reading, before, on_wall, kept_side)
     ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
     between = [crossing_between(e, side, either=both) for e, side, both in zip(ends, before, either, strict=True)]
     between = [
@@ -140,11 +143,12 @@ def passages_within(
         for there, (now, low, high, hit) in zip(arriving, between, strict=True)
     ]
     passed = [part[3] & finite for part in between]
-    guesses = [straight_share(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
-    earlier = [(guess < _AT_ONE_TIME) | (k < march.sought) for guess, k in zip(guesses, numbers, strict=True)]
+    guesses = [
+        _share_of_passage(e, part[1], part[2], side) for e, part, side in zip(ends, between, before, strict=True)
+    ]
     looked_for = [
-        seeking | (march.settled & ~march.again & (march.sought != k) & e)
-        for k, e in zip(numbers, earlier, strict=True)
+        seeking | (march.settled & ~march.again & (march.sought != k) & ((guess < _AT_ONE_TIME) | now))
+        for k, guess, now in zip(numbers, guesses, earlier, strict=True)
     ]
     checked = [hit & looked for hit, looked in zip(passed, looked_for, strict=True)]
     turns = [near_turn(e, side) for e, side in zip(ends, before, strict=True)]
@@ -166,7 +170,7 @@ def passages_within(
 
 
 def _heights_at_end(
-    march: March, reading: Reading, before: Heights, seeking: Array, on_wall: Heights, kept_side: float
+    march: March, reading: Reading, before: Heights, on_wall: Sequence[Array], kept_side: Sequence[float]
 ) -> tuple[list[Array], list[Array]]:
     """Heights at the end of a trial, near zero on the side that they count for, and which arrive there."""
     kept = [
@@ -174,8 +178,18 @@ def _heights_at_end(
         for x, r, s in zip(reading.height, march.rounding, before, strict=True)
     ]
     arriving = [
-        seeking & (s != 0.0) & (jnp.abs(x) <= near) & (rate * b < 0.0)
+        (s != 0.0) & (jnp.abs(x) <= near) & (rate * b < 0.0)
         for x, near, rate, b, s in zip(kept, on_wall, reading.rate, before, march.side, strict=True)
     ]
-    kept = [jnp.where(there, kept_side * 1e-300 * b, x) for there, b, x in zip(arriving, before, kept, strict=True)]
+    kept = [
+        jnp.where(there, at * 1e-300 * b, x) for there, at, b, x in zip(arriving, kept_side, before, kept, strict=True)
+    ]
     return kept, arriving
+
+
+def _share_of_passage(ends: tuple[Array, Array, Array, Array], low: Array, high: Array, side: Array) -> Array:
+    """A first guess of where a height passes zero: by the straight line, but at once where it begins there."""
+    height, rate = ends[:2]
+    soon = -height / rate
+    at_once = (low == 0.0) & (rate * side < 0.0) & (soon < _AT_ONCE)
+    return jnp.where(at_once, jnp.maximum(soon, 0.0), straight_share(ends, low, high))

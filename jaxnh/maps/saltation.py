@@ -185,7 +185,7 @@ class EventPassage:
         # Sides: those of surfaces first, which decide the field there.
         heights = heights_of(self.system, end.t, after, self.own) if self._changes else end.height
         changes = jumps if begins is None else jumps | begins
-        new_sides = self._crossed(end.height, heights, sides, arrival, changes)
+        new_sides = self._crossed(end, heights, sides, arrival, changes)
         if self.system.leaps:
             new_sides = sides_after_leaps(self.system, end.t, after, self.own, new_sides, arrival.at)
         left: Heights = ()
@@ -252,13 +252,15 @@ class EventPassage:
             pushed = [_select(arrived, new, old) for new, old in zip(moved, pushed, strict=True)]
         return after, pushed, jumps, begins
 
-    def _crossed(self, before: Heights, after: Heights, sides: Heights, arrival: Arrival, jumps: Array) -> Heights:
+    def _crossed(self, end: Reading, after: Heights, sides: Heights, arrival: Arrival, jumps: Array) -> Heights:
         """Sides after an event, of a surface that is passed, and of what the jump has leapt over."""
         crossed: list[Array] = []
-        for i, (k, old, new, now) in enumerate(zip(self._numbers, before, after, sides, strict=True)):
+        for i, (k, old, new, now) in enumerate(zip(self._numbers, end.height, after, sides, strict=True)):
             if i >= self._jumps:
                 now = jnp.where(arrival.at(k), -arrival.side, now)
             leapt = jumps & (arrival.sought != k) & (jnp.sign(old) != jnp.sign(new))
+            if i == self.system.passed_before_jumps:  # on it, no jump leaps over it
+                leapt &= jnp.abs(old) > _ON_WALL * jnp.abs(end.rate[i]) * arrival.length
             crossed.append(jnp.where(leapt, jnp.where(new >= 0.0, 1.0, -1.0), now))
         return tuple(crossed)
 

@@ -109,6 +109,11 @@ class PiecewiseSmooth(FirstOrder):
         return self.switches >= _MANY and not (self.jumps or self.holding or self.constrained)
 
     @property
+    def passed_before_jumps(self) -> int | None:
+        """Return the number of the surface, if any, that motions pass before a wall that they meet at the same time."""
+        return None
+
+    @property
     def begins(self) -> tuple[bool, ...]:
         """Return for each wall and surface whether a constraint holds above it, and not below."""
         return (False,) * (len(self.jumps) + self.switches)

@@ -8,8 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
+import jaxnh
 from jaxnh.maps.build import make_return_map
+from jaxnh.maps.crossings import MOST_SHOTS
 from jaxnh.maps.iterate import derivatives
 from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.section import Section, begin
@@ -146,3 +149,117 @@ def test_what_fails_on_the_way_to_a_section():
     assert crossings(section, tsit5, 1, start_of(section, 1e3, 0.0), 1)[2] == [NO_RETURN]
     with pytest.raises(TypeError, match="Nystrom has no steps that end at jumps and switches"):
         make_return_map(section, nystrom8, 10)
+
+
+def impact_oscillator(wall):
+    """x'' = wall − x + cos s, s' = 2.85, with a wall at x = wall that reflects 0.8 of the speed."""
+
+    def define():
+        return {
+            "rhs": lambda y, t: (y[1], wall - y[0] + jnp.cos(y[2]), 2.85),
+            "coordinates": ("x", "v", "s"),
+            "angles": ("s",),
+            "jumps": [
+                {"when": lambda y, t: y[0] - wall, "direction": "up", "then": lambda y, t: (y[0], -0.8 * y[1], y[2])}
+            ],
+        }
+
+    return piecewise_smooth(define, {})
+
+
+def next_impact(v, s):
+    """Time, speed and phase at the next impact of a motion that leaves the wall with a speed v < 0: the closed form."""
+    w, amplitude = 2.85, 1.0 / (1.0 - 2.85**2)
+    b, c = -amplitude * np.cos(s), v + amplitude * w * np.sin(s)
+
+    def height(t):
+        return amplitude * np.cos(w * t + s) + b * np.cos(t) + c * np.sin(t)
+
+    times = np.concatenate([np.geomspace(1e-6, 1e-2, 2000), np.linspace(1e-2, 8.0, 20000)[1:]])
+    first = int(np.argmax((height(times[1:]) >= 0.0) & (height(times[:-1]) < 0.0)))
+    t = float(brentq(height, times[first], times[first + 1], xtol=1e-15))  # pyright: ignore[reportArgumentType]
+    return t, -amplitude * w * np.sin(w * t + s) - b * np.sin(t) + c * np.cos(t), s + w * t
+
+
+@pytest.mark.parametrize("wall", [0.0, 1.3])
+@pytest.mark.parametrize("direction", ["up", "down", "both"])
+def test_a_section_on_a_wall(direction, wall):
+    """The impact map: up as the motion arrives, down as it leaves, both ways one after the other; low speeds as well."""
+    section = Section(impact_oscillator(wall), "x", 0, wall, direction)
+    strobe = make_return_map(section, dopri8, 12)
+    speed, phase = np.meshgrid([0.02, 0.1, 0.3, 0.6], np.linspace(0.5 * np.pi, 1.5 * np.pi, 6)[1:-1])
+    arriving = np.stack([speed.ravel(), phase.ravel()], axis=1)
+    returns = jax.jit(lambda state, n: strobe.iterate(n, state, {}))
+    for v, s in arriving:
+        t, after, later = next_impact(-0.8 * v, s)
+        factor = -0.8 if direction == "down" else 1.0
+        start = start_of(section, wall, factor * v, s)
+        crossing = returns(start, 2 if direction == "both" else 1)
+        known = [0.0, wall, factor * after, later]
+        assert np.abs(np.array([crossing.t - t, *crossing.state.y]) - known).max() < 1e-9
+        if direction == "both":  # the one as it leaves is at once
+            left = returns(start, 1)
+            assert np.abs(np.array([left.t, *left.state.y]) - [0.0, wall, -0.8 * v, s]).max() < 1e-12
+
+
+@pytest.mark.parametrize(("direction", "v"), [("up", 0.3), ("down", -0.24)])
+def test_the_derivative_of_an_impact_map(direction, v):
+    """By differences of the closed form; its determinant is what the volume has grown by."""
+    section = Section(impact_oscillator(0.0), "x", 0, 0.0, direction)
+    strobe, s, h = make_return_map(section, dopri8, 12), 2.0, 1e-5
+
+    def image(v, s):
+        _, speed, later = next_impact(-0.8 * v if direction == "up" else v, s)
+        return np.array([speed if direction == "up" else -0.8 * speed, later])
+
+    columns = [(image(v + h, s) - image(v - h, s)) / (2 * h), (image(v, s + h) - image(v, s - h)) / (2 * h)]
+    d = jax.jit(lambda u: derivatives(strobe, 1, u, {}))(jnp.array([v, s]))
+    assert np.abs(np.asarray(d.monodromy) - np.stack(columns, axis=1)).max() < 1e-7
+    state = section.chart.state(jnp.array([v, s]))
+    tangents = tuple(Tangent(section.chart.lift(state, tuple(e))) for e in jnp.eye(2))
+    pushed = jax.jit(lambda z: strobe.pushforward(z, {}, tangents))(state)
+    assert math.exp(pushed.log_volume) == pytest.approx(abs(np.linalg.det(d.monodromy)), rel=1e-8)
+
+
+def test_a_section_on_a_wall_where_a_motion_rests():
+    """A ball on a table that moves, seen by it: ever lower impacts, rest, and a start where 1.5 cos s is 1 again."""
+
+    def define():
+        wall = {
+            "when": lambda y, t: y[0],
+            "direction": "down",
+            "then": lambda y, t: (y[0], -0.5 * y[1], y[2]),
+            "rest": True,
+        }
+        rhs = lambda y, t: (y[1], -1.0 + 1.5 * jnp.cos(y[2]), 1.0)  # noqa: E731
+        return {"rhs": rhs, "coordinates": ("x", "v", "s"), "angles": ("s",), "jumps": [wall]}
+
+    section = Section(piecewise_smooth(define, {}), "x", 0, 0.0, "up")
+    _, states, reasons = crossings(section, dopri8, 8, start_of(section, 0.0, 1e-2, 3.6), 20)
+    speeds, phases = states[:, 1], states[:, 2]
+    assert reasons == [0.0] * 20
+    start = int(np.argmin(speeds))
+    impacts = -1.0 + 1.5 * np.cos(phases[:start])  # the acceleration, which changes little between low impacts
+    assert np.all(impacts < 0.0)
+    assert speeds[1:start] == pytest.approx(0.5 * speeds[: start - 1], rel=1e-2)
+    nearly = 0.125 * (2 / 3) ** MOST_SHOTS  # of a step, by Newton at a height that leaves zero like t³
+    assert phases[start] == pytest.approx(2.0 * np.pi - np.arccos(2.0 / 3.0), abs=nearly)
+    assert np.abs(states[:, 0]).max() < 1e-15
+
+
+def test_exponents_on_a_wall():
+    """An impact oscillator's, whose sum is 2 ln 0.8 times the rate of impacts: one in each period of 2π/2.5."""
+
+    def impacts(w=2.5, r=0.8):
+        def rhs(y, t):
+            return y[1], -y[0] + jnp.cos(y[2]), w
+
+        wall = {"when": lambda y, t: y[0], "direction": "up", "then": lambda y, t: (y[0], -r * y[1], y[2])}
+        return {"rhs": rhs, "coordinates": ("x", "v", "s"), "angles": ("s",), "jumps": [wall]}
+
+    session = jaxnh.Session(impacts, start={"x": -0.1, "v": 0.0, "s": 0.0}, target=1e-7).on("x", 0.0, "up")
+    lanes = session.run(jaxnh.Lyapunov(transient=500, periods=500))
+    known = np.log(0.8) * 2.5 / (2.0 * np.pi) * np.array([0.0, 1.0, 1.0])
+    exponents, error = (lanes[name].to_numpy().ravel() for name in ("exponents", "exponents_error"))
+    assert np.all(np.abs(exponents - known) <= error)
+    assert np.all(error < 1e-3)
