@@ -34,7 +34,7 @@ from jaxnh.maps.general_flow import (
     stages_in_loop,
     unstacked_tangents,
 )
-from jaxnh.maps.passages import March, Passages, Trials, passages_within
+from jaxnh.maps.passages import March, Passages, Trials, at_one_time, is_on_section_first, passages_within
 from jaxnh.maps.protocol import Pushforward, ReturnMap, Tangent
 from jaxnh.maps.saltation import AfterEvent, Arrival, EventPassage, Reading, side_from
 from jaxnh.maps.time_tables import time_split
@@ -144,7 +144,8 @@ class _Lane:
         self.strobe, self._passage = strobe, passage
         system = self._system = strobe.system
         self._jumps, self._holding = len(system.jumps), system.holding
-        self._numbers = numbers_of(system)
+        self._numbers, self._section = numbers_of(system), system.section_number
+        self._kept_side = -1.0 if system.arrives_at_ends else 1.0  # of a wall that a motion comes to at the end
         self._either = [way == "both" for way in system.jumps] + [True] * (len(self._numbers) - self._jumps)
         self.most_events = _MOST_IMPACTS if any(system.holds[: self._jumps]) else _MOST_EVENTS
 
@@ -238,6 +239,13 @@ class _Lane:
         event = arrived & march.sure & (sought_rate * rising > 0.0)
         arrival = Arrival(event, event, sought, side, stretch, stretch)
         after, sound = self._after(march, reading, passages, arrived, arrival)
+        if self._section is not None:
+            at_wall = event & (sought < self._jumps)
+            back = at_wall & is_on_section_first(
+                self._section, march, reading, after, once_more=self._system.arrives_at_ends
+            )
+            passages = passages.to_end(self._section, back)
+            moved, arrived, seen, fresh = moved & ~back, arrived & ~back, seen | back, fresh | back
 
         def chosen(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda n, o: jnp.where(moved, n, o), new, old)
@@ -274,15 +282,16 @@ class _Lane:
         """Passages within what a trial of length h has gone over (`passages_within`)."""
         last, grid = seeking & (march.step == self.strobe.steps - 1), jnp.asarray(self.strobe.grid)
         near = [jnp.where(last, _near_wall(rate, grid), -1.0) for rate in reading.rate]
-        kept = [-1.0 if self._system.arrives_at_ends else 1.0] * len(near)
         earlier = [k < march.sought for k in self._numbers]
-        if (first := self._system.passed_before_jumps) is not None:
-            at_jump = march.settled & (march.sought < self._jumps)
-            near[first] = jnp.where(at_jump, _near_wall(reading.rate[first], grid), near[first])
-            kept[first], other = -1.0, march.sought != first
-            earlier = [(now & other) | ((k == first) & at_jump) for k, now in zip(self._numbers, earlier, strict=True)]
+        if self._section is not None:
+            there = march.settled & (march.sought == self._section)
+            for k in range(self._jumps):
+                if self._system.arrives_at_ends:
+                    near[k] = jnp.where(there, at_one_time(reading.rate[k], march.stretch), near[k])
+                else:
+                    earlier[k] &= ~there
         return passages_within(
-            march, reading, h, before, self._numbers, self._either, seeking, finite, near, kept, earlier
+            march, reading, h, before, self._numbers, self._either, seeking, finite, near, self._kept_side, earlier
         )
 
     def _begin_after_jump(self, reading: Reading, sides: Heights, grid: Array) -> AfterEvent:

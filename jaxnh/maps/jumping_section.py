@@ -68,8 +68,8 @@ class _WithSection(PiecewiseSmooth):
         return self.as_it_is.constrained
 
     @property
-    def passed_before_jumps(self) -> int | None:
-        """Return the number of the section: on a wall a motion has come to it, and jumps."""
+    def section_number(self) -> int | None:
+        """Return the number of the section, where there are walls."""
         return len(self.jumps) + self.switches - 1 if self.jumps else None
 
     @property
@@ -201,7 +201,7 @@ class JumpingSection(ReturnMap):
             p, by_p, volume=at_begin.log_volume is not None
         )
         march = lane.begin(at_begin, grid)
-        march = self._on_side(march)
+        march = self._on_side(march, p)
         first = _Approach(march, start.t, by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])
 
         def unfinished(search: _Approach) -> Array:
@@ -240,17 +240,30 @@ class JumpingSection(ReturnMap):
         assert isinstance(flow, PiecewiseSmooth)
         return flow.jumps
 
-    def _on_side(self, march: March) -> March:
-        """A lane at the beginning, on the side that it leaves for; on a wall it has arrived, and not jumped yet."""
+    def _on_side(self, march: March, p: Parameters) -> March:
+        """A lane at the beginning, on the side that it leaves for, and before a jump that it comes to."""
         height, rate = march.height[-1], march.rate[-1]
         side, near = side_of_section(self.system, height, rate, self.step), near_section(self.system, rate, self.step)
+        if not (count := len(self._walls)):
+            return march._replace(side=(*march.side[:-1], side))
+        on = jnp.abs(height) < near
         walls = [
-            jnp.where((jnp.abs(h * rate) < near * jnp.abs(r)) & ((way == "both") | (r > 0.0)), -jnp.sign(r), s)
-            for h, r, s, way in zip(march.height, march.rate, march.side, self._walls, strict=False)
+            jnp.where(on & (jnp.abs(h * rate) < near * jnp.abs(r)) & self._jumps_at(k, march, p), -jnp.sign(r), s)
+            for k, (h, r, s) in enumerate(zip(march.height[:count], march.rate, march.side, strict=False))
         ]
-        beside = jnp.where(jnp.abs(height) < near, 2.0 * jnp.abs(height), 0.0)
-        rounding = (*march.rounding[:-1], beside) if walls else march.rounding
-        return march._replace(side=(*walls, *march.side[len(walls) : -1], side), rounding=rounding)
+        rounding = (*march.rounding[:-1], jnp.where(on, 2.0 * jnp.abs(height), 0.0))
+        return march._replace(side=(*walls, *march.side[count:-1], side), rounding=rounding)
+
+    def _jumps_at(self, wall: int, march: March, p: Parameters) -> Array:
+        """Return whether a motion that begins on a wall on the section has come to it, and has not come from it."""
+        flow, section = self.system.flow, self.system
+        assert isinstance(flow, PiecewiseSmooth)
+        arrives = march.rate[wall] > 0.0 if flow.jumps[wall] != "both" else jnp.bool_(True)
+        after = flow.jumped(wall, march.t, march.moving.state, p, march.side[:-1])
+        rate = section.across(flow.branch(march.t, after, p, march.side[:-1])) * section.slope(after)
+        near = near_section(section, rate, self.step)
+        goes_on = (jnp.abs(section.smooth_height(after)) < near) & (rate * march.rate[-1] > 0.0)
+        return arrives & ~goes_on
 
     def _on_section(
         self, moving: Moving, field: PiecewisePoint, leaving: Array, rate: Array

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxnh.maps.crossings import crossing_between, near_turn, straight_share
+from jaxnh.maps.crossings import SETTLED, crossing_between, near_turn, straight_share
 from jaxnh.maps.event_heights import Heights, any_of, as_vector, pick
 from jaxnh.maps.general_flow import Moving
-from jaxnh.maps.saltation import Arrival, Reading
+from jaxnh.maps.saltation import AfterEvent, Arrival, Reading
 
 _AT_ONE_TIME = 1.0 - 2.0**-20  # share of a trial up to an event from which on another is at the same time
 _AT_ONCE = 2.0**-20  # share of a trial below which a passage is at its beginning
@@ -107,6 +107,16 @@ class Passages(NamedTuple):
     sure: Array
     turn: Array
 
+    def to_end(self, number: int, instead: Array) -> Passages:
+        """Return these, or instead one at the end of the trial."""
+        return self._replace(
+            first=jnp.where(instead, number, self.first),
+            guess=jnp.where(instead, 1.0, self.guess),
+            low=jnp.where(instead, 0.0, self.low),
+            high=jnp.where(instead, _BESIDE_END, self.high),
+            sure=self.sure | instead,
+        )
+
 
 def passages_within(
     march: March,
@@ -118,7 +128,7 @@ def passages_within(
     seeking: Array,
     finite: Array,
     on_wall: Sequence[Array],
-    kept_side: Sequence[float],
+    kept_side: float,
     earlier: Sequence[Array],
 ) -> Passages:
     """Locate passages within what a trial of length h has gone over, and turns of heights near zero.
@@ -132,7 +142,7 @@ def passages_within(
         seeking: whether the trial is a whole step, in which passages are looked for.
         finite: whether the state at its end is.
         on_wall: height below which a motion that comes nearer arrives with the end of the trial.
-        kept_side: of each height 1.0 where that is no passage, and −1.0 where it is.
+        kept_side: 1.0 where that is no passage, and −1.0 where it is.
         earlier: of each height whether it is passed before the one that is sought, at the same time.
     """
     kept, arriving = _heights_at_end(march, reading, before, on_wall, kept_side)
@@ -169,8 +179,31 @@ def passages_within(
     )
 
 
+def at_one_time(rate: Array, length: Array) -> Array:
+    """Height below which a motion is on a wall or surface when it meets another one, in a trial of such a length."""
+    return SETTLED * jnp.abs(rate) * length
+
+
+def is_on_section_first(number: int, march: March, reading: Reading, after: AfterEvent, *, once_more: bool) -> Array:
+    """Return whether a motion that has met a wall is on the section before it jumps, and has not been yet.
+
+    Args:
+        number: of the section.
+        march, reading, after: before the trial, at its end, and after the jump.
+        once_more: whether it is not where the motion is there once more after the jump, and goes on over the section:
+            that is its crossing.
+    """
+
+    def comes(height: Heights, rate: Heights) -> Array:
+        near = at_one_time(rate[number], march.stretch)
+        return (jnp.abs(height[number]) <= near) & (rate[number] * march.side[number] < 0.0)
+
+    first = comes(reading.height, reading.rate)
+    return first & ~comes(after.height, after.rate) if once_more else first
+
+
 def _heights_at_end(
-    march: March, reading: Reading, before: Heights, on_wall: Sequence[Array], kept_side: Sequence[float]
+    march: March, reading: Reading, before: Heights, on_wall: Sequence[Array], kept_side: float
 ) -> tuple[list[Array], list[Array]]:
     """Heights at the end of a trial, near zero on the side that they count for, and which arrive there."""
     kept = [
@@ -181,9 +214,7 @@ def _heights_at_end(
         (s != 0.0) & (jnp.abs(x) <= near) & (rate * b < 0.0)
         for x, near, rate, b, s in zip(kept, on_wall, reading.rate, before, march.side, strict=True)
     ]
-    kept = [
-        jnp.where(there, at * 1e-300 * b, x) for there, at, b, x in zip(arriving, kept_side, before, kept, strict=True)
-    ]
+    kept = [jnp.where(there, kept_side * 1e-300 * b, x) for there, b, x in zip(arriving, before, kept, strict=True)]
     return kept, arriving
 
 

@@ -259,7 +259,7 @@ class EventPassage:
             if i >= self._jumps:
                 now = jnp.where(arrival.at(k), -arrival.side, now)
             leapt = jumps & (arrival.sought != k) & (jnp.sign(old) != jnp.sign(new))
-            if i == self.system.passed_before_jumps:  # on it, no jump leaps over it
+            if i == self.system.section_number:  # on it, no jump leaps over it
                 leapt &= jnp.abs(old) > _ON_WALL * jnp.abs(end.rate[i]) * arrival.length
             crossed.append(jnp.where(leapt, jnp.where(new >= 0.0, 1.0, -1.0), now))
         return tuple(crossed)

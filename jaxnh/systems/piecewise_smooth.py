@@ -109,8 +109,8 @@ class PiecewiseSmooth(FirstOrder):
         return self.switches >= _MANY and not (self.jumps or self.holding or self.constrained)
 
     @property
-    def passed_before_jumps(self) -> int | None:
-        """Return the number of the surface, if any, that motions pass before a wall that they meet at the same time."""
+    def section_number(self) -> int | None:
+        """Return the number of the surface that is a section and may be a wall as well, if there is one."""
         return None
 
     @property

@@ -263,3 +263,31 @@ def test_exponents_on_a_wall():
     exponents, error = (lanes[name].to_numpy().ravel() for name in ("exponents", "exponents_error"))
     assert np.all(np.abs(exponents - known) <= error)
     assert np.all(error < 1e-3)
+
+
+def walking(gamma=0.009):
+    """The simplest walking model of Garcia, Chatterjee, Ruina and Coleman, J. Biomech. Eng. 120 (1998) 281, eqs. 1 to 4."""
+
+    def rhs(y, t):
+        theta, speed, phi, swing = y
+        fall = jnp.sin(theta - gamma)
+        return speed, fall, swing, fall + speed**2 * jnp.sin(phi) - jnp.cos(theta - gamma) * jnp.sin(phi)
+
+    def strike(y, t):
+        theta, speed, _, _ = y
+        c = jnp.cos(2.0 * theta)
+        return -theta, c * speed, -2.0 * theta, c * (1.0 - c) * speed
+
+    strikes = {"when": lambda y, t: y[2] - 2.0 * y[0], "direction": "up", "then": strike}
+    return {"rhs": rhs, "coordinates": ("theta", "dtheta", "phi", "dphi"), "jumps": [strikes]}
+
+
+def test_a_section_on_a_wall_that_a_motion_goes_on_over():
+    """A walker is on the section of its heelstrikes after them: the fixed point that the article gives to 15 digits."""
+    known = {"theta": 0.200310900544287, "dtheta": -0.199832473004977, "dphi": -0.015822999948318}
+    flow = piecewise_smooth(walking, {"gamma": 0.009})
+    section = Section(flow, "", 0, 0.0, "up", normal=(-2.0, 0.0, 1.0, 0.0))
+    start = start_of(section, 0.2003, -0.1998, 0.4006, -0.0158)
+    _, states, reasons = crossings(section, dopri8, 20, start, 40)
+    assert reasons == [0.0] * 40
+    assert states[-1] == pytest.approx([known["theta"], known["dtheta"], 2.0 * known["theta"], known["dphi"]], abs=1e-9)
