@@ -17,4 +17,4 @@ STATUS = (
 
 NOT_FINITE, NO_RETURN = STATUS.index("not_finite"), STATUS.index("no_return")
 CHATTERING, CODIMENSION_TWO = STATUS.index("chattering"), STATUS.index("codimension_two")
-OUT_OF_STEPS = STATUS.index("out_of_steps")
+OUT_OF_STEPS, ESCAPED = STATUS.index("out_of_steps"), STATUS.index("escaped")

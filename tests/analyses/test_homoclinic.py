@@ -15,6 +15,7 @@ from jaxnh.exceptions import ConfigError
 from jaxnh.orbits.bifurcations.connection_points import POINTS, TYPES
 from tests.flows import connections
 from tests.flows.lorenz import lorenz
+from tests.helpers import connection_results
 from tests.helpers.connection_results import experiment, points, result_of
 
 
@@ -45,6 +46,21 @@ def test_fronts(tmp_path):
     table = ANALYSES["homoclinic"].table(data, {}, "")
     assert table.rows[0][0] == "heteroclinic"
     jaxnh.figure(groups)
+
+
+@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.parametrize("solver", ["tsit5", "adaptive_tsit5"])
+def test_a_loop_where_the_trace_vanishes(tmp_path, solver):
+    """μ = 0.2 a²: eigenvectors change their signs there; one curve from both ends; paths on their way to infinity."""
+    options = "{box: {x: [-0.3, 1.3], y: [-0.8, 0.8]}, n_starts: 16, n_values: 2, duration: 20, ds_max: 0.2}"
+    sweep = "{mu: {start: 0.0, stop: 0.3, count: 4}, a: {values: [0.4, 1.2]}}"
+    with mock.patch.object(connection_results, "STEPS", f"accuracy: {{solver: {solver}, steps: 20}}\n"):
+        data = result_of(tmp_path, connections.level, "{x: 0.5, y: 0.0}", sweep, options)["homoclinic"].to_dataset()
+    assert [KINDS[kind] for kind in data["kind"].values] == ["homoclinic"]
+    values, errors = points(data, 0, ("mu", "a"))
+    assert np.all(np.abs(values[:, 0] - 0.2 * values[:, 1] ** 2) <= errors @ [1.0, 0.5])  # the slope is below a half
+    assert errors.max() < 1e-10
+    assert sorted(values[[0, -1], 1]) == pytest.approx([0.4, 1.2])
 
 
 @pytest.mark.slow

@@ -19,6 +19,20 @@ def pulse(a=0.0, b=0.5):
     return {"rhs": rhs, "coordinates": ("x", "v")}
 
 
+def level(mu=0.1, a=0.5):
+    """x″ = x − x² with a force that keeps the level H = 0 of the pulse at μ = 0.2 a², where the trace at 0 vanishes.
+
+    Beyond it paths reach infinity in finite time, and their decay on the way is ever faster.
+    """
+
+    def rhs(state, time):
+        x, y = state
+        height = y * y / 2 - x * x / 2 + x**3 / 3
+        return y, x - x * x + (mu - 0.2 * a * a) * y - a * height * y
+
+    return {"rhs": rhs, "coordinates": ("x", "y")}
+
+
 def nagumo(c=0.3, a=0.3):
     """u″ = c u′ + u (u − 1)(u − a): its front from 0 to 1, 1/(1 + exp(−t/√2)), has c = (1 − 2a)/√2."""
 

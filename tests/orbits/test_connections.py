@@ -11,6 +11,7 @@ from jaxnh.orbits.collocation.connection_joins import is_on_curve, join_connecti
 from jaxnh.orbits.collocation.connection_meshes import refined
 from jaxnh.orbits.collocation.connections import connection_near, follow_connections
 from jaxnh.orbits.collocation.equations import BoundarySolution
+from jaxnh.orbits.collocation.newton import remeshed
 from jaxnh.orbits.collocation.paths import path_through
 from jaxnh.orbits.continuation.paths import RANGE, StepControl
 from jaxnh.systems.first_order import first_order
@@ -124,6 +125,26 @@ def test_the_pulse_beside_the_hamiltonian_one():
     energy = path.ends[0, :, 1] ** 2 / 2 - path.ends[0, :, 0] ** 2 / 2 + path.ends[0, :, 0] ** 3 / 3
     assert np.abs(energy).max() < 1e-9
     assert path.ends[0, :, 0].max() == pytest.approx(1.5, abs=1e-2)  # of the mesh
+
+
+def test_an_orbit_on_any_mesh_is_on_its_curve():
+    """Next to a point of the curve or in the middle, on meshes that show its top to half a hundredth; not one beside."""
+    problem = problem_of(
+        first_order(connections.pulse, {"a": 0.0, "b": 0.5}, ("a", "b")), ("a", "b"), (0.75, 0.6), (0.4, 0.2)
+    )
+    begun = connection_near(problem, _pulse(np.linspace(-9.0, 9.0, 200)), np.zeros(2), np.zeros(2))
+    curve = follow_connections(problem, begun, np.array([-1.0, 0.4]), np.array([1.0, 0.6]), StepControl(0.05, 100))
+    stretch = max(curve.stretches, key=lambda each: len(each.points))
+    for share in (0.01, 0.5, 0.99):
+        orbit = stretch.between(len(stretch.points) // 2, share)
+        tops = list[float]()
+        for n in range(20, 60, 5):
+            other = orbit._replace(solution=remeshed(problem, orbit.solution, n, cyclic=False))
+            assert is_on_curve(problem, curve, other)
+            tops.append(other.solution.path.ends[0, :, 0].max())
+        assert np.ptp(tops) > 0.005 * problem.size[0]
+        aside = orbit.solution._replace(values=orbit.values[None] + [[0.02 * problem.widths[0], 0.0]])
+        assert not is_on_curve(problem, curve, orbit._replace(solution=aside))
 
 
 def _pulse(times):

@@ -16,30 +16,37 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
+from jaxnh.analyses.continuation.connection_passages import (
+    FARTHEST,
+    PassageView,
+    first_difference,
+    leading_directions,
+    passages_of_paths,
+)
 from jaxnh.analyses.section_points import states_at
 from jaxnh.exceptions import InputError
+from jaxnh.maps.bounds import BoundedMap
 from jaxnh.maps.build import make_return_map
 from jaxnh.maps.inverse import backward_parts
 from jaxnh.maps.protocol import ReturnMap
 from jaxnh.orbits.collocation.equations import BoundarySolution, Problem
 from jaxnh.orbits.collocation.homoclinic import SaddlePoint, saddles_at
 from jaxnh.orbits.collocation.paths import path_through
+from jaxnh.solvers import AdaptiveMethod
 
 _SAME = 1e-6  # sizes: equilibria this near are one
 _BEGUN = 1e-3  # sizes: where manifolds begin, on the eigenvector
 _FINER, _ROUNDS = 16, 12  # parts of an interval, and how often there are parts of parts, at most
 _NEAR_ENOUGH = 0.02  # of the largest distance so far: a path this near is a guess
-_FARTHEST = 100.0  # sizes: paths further out leave all bounds
+_FOLLOWED = 2.0 * FARTHEST  # sizes, from where paths begin: further out of every saddle than that
 _PASSED = (
     0.5,
     0.15,
 )  # of the largest distance so far: minima of it below are passages; far from a saddle some are none
-_LEAVES = 0.5  # of the distance beyond all bounds that is along the direction of the side, at least
 _SEGMENTS, _APART = 60, 1e-6  # segments between states, at most, and how long they are, in sizes
 _NEAREST = 0.1  # of the largest distance so far, after refinement: others pass no saddle
 _LOOKS, _STEPS_A_LOOK = 16, 4  # states a unit of time, at least, and steps between two of them
 _INTERVALS = 60
-_SHARE = 0.1  # of the largest component of a direction, whose first component beyond has the sign of its side
 _TILE = 32
 
 
@@ -95,12 +102,6 @@ class SideChange(NamedTuple):
     passed: float
 
 
-class _Passage(NamedTuple):
-    place: int
-    side: float
-    distance: float
-
-
 class Shooting(NamedTuple):
     """The way in which manifolds are followed.
 
@@ -119,6 +120,10 @@ class Shooting(NamedTuple):
     second: float
     duration: float
     pulses: int
+
+    def view(self, backward: bool) -> PassageView:
+        """How passages of a manifold are seen, the stable one's or the unstable one's."""
+        return PassageView(self.batch.chart.wrap, self.problem.size, backward, self.pulses)
 
     def saddles(self, state: Float[np.ndarray, " d"], values: Float[np.ndarray, " k"]) -> list[SaddlePoint]:
         """The saddle near a state at values of the first parameter; none where it is none at one of them."""
@@ -158,13 +163,13 @@ def connection_seeds(
         paths = _paths(shooting, manifold, starts, directions, values[numbers])
         for other in chains:
             ends = [other.saddles.get(number) for number in numbers]
+            fitting = [
+                end if end is not None and _fits(start, end) else None for start, end in zip(starts, ends, strict=True)
+            ]
             for passed in _PASSED:
-                passages = [
-                    _passages(shooting, manifold, path, end, passed) if end is not None and _fits(start, end) else []
-                    for path, start, end in zip(paths, starts, ends, strict=True)
-                ]
+                passages = passages_of_paths(shooting.view(manifold.backward), paths, fitting, passed)
                 for k in range(len(numbers) - 1):
-                    pulse, end = _first_difference(passages[k], passages[k + 1]), ends[k]
+                    pulse, end = first_difference(passages[k], passages[k + 1]), ends[k]
                     if pulse is not None and end is not None and numbers[k + 1] == numbers[k] + 1:
                         low, high = values[[numbers[k], numbers[k + 1]]].tolist()
                         bracket = SideChange((starts[k], end), directions[k], (low, high), pulse, passed)
@@ -221,6 +226,9 @@ def _paths_from(
     batch, (moved, step) = shooting.batch, _map_and_step(shooting, backward)
     p = dict(batch.at_values(values).p)
     count = max(2, round(shooting.duration / step))
+    if isinstance(batch.solver, AdaptiveMethod):  # equal steps are as many wherever a path goes
+        reach = _FOLLOWED * shooting.problem.size + np.ptp(first, axis=0)
+        moved = BoundedMap(moved.system, moved, first[0], reach)
     record = shooting.lanes.record(moved, count, (states_at(batch, shooting.lanes, first, _TILE), p), tile=_TILE)
     return np.concatenate([first[:, None], batch.chart.host_points(record)], axis=1)
 
@@ -229,58 +237,11 @@ def _directions(
     manifold: Manifold, starts: list[SaddlePoint], first: Float[np.ndarray, " d"] | None = None
 ) -> list[Float[np.ndarray, " d"]]:
     """The directions in which a manifold begins at saddles one after the other, the first one as another is."""
-    directions = list[np.ndarray]()
-    for start in starts:
-        values, vectors = np.linalg.eig(start.jacobian)
-        rates = np.real(values)
-        vector = np.real(vectors[:, np.argmin(rates) if manifold.backward else np.argmax(rates)])
-        vector = vector / np.linalg.norm(vector)
-        before = directions[-1] if directions else first
-        if before is None:
-            leads = int(np.argmax(np.abs(vector) > _SHARE * np.abs(vector).max()))
-            before = manifold.sign * np.eye(len(vector))[leads]
-        directions.append(vector if vector @ before >= 0.0 else -vector)
-    return directions
+    directions = leading_directions(starts, manifold.backward, first)
+    return directions if first is not None else [manifold.sign * direction for direction in directions]
 
 
-# ---- passages
-
-
-def _passages(
-    shooting: Shooting, manifold: Manifold, path: Float[np.ndarray, "count d"], saddle: SaddlePoint, passed: float
-) -> list[_Passage]:
-    """The place where a path is nearest to a saddle in the coordinates of its eigenvectors, and the side.
-
-    A path that leaves all bounds is on a side there too, as far from the saddle as it has been.
-    """
-    values, vectors = np.linalg.eig(saddle.jacobian)
-    real = np.where(np.imag(values) < 0.0, np.imag(vectors), np.real(vectors))
-    rates = np.real(values)
-    leaving = int(np.argmin(rates) if manifold.backward else np.argmax(rates))
-    gaps = shooting.batch.chart.wrap(path - saddle.state) / shooting.problem.size
-    with np.errstate(invalid="ignore", over="ignore"):
-        away = ~(np.abs(gaps).max(axis=1) <= _FARTHEST)
-    inside = int(np.argmax(away)) if away.any() else len(path)
-    shares = np.linalg.solve(real / np.linalg.norm(real, axis=0), gaps[:inside].T).T
-    distance = np.linalg.norm(shares, axis=1)
-    if len(distance) < 3:
-        return []
-    largest = np.maximum.accumulate(distance)
-    least = (distance[1:-1] <= distance[:-2]) & (distance[1:-1] < distance[2:])
-    least &= distance[1:-1] < passed * largest[1:-1]
-    places = [*(1 + np.flatnonzero(least)).tolist(), *([inside - 1] if away.any() else [])]
-    sides = np.sign(shares[:, leaving])
-    if away.any() and abs(shares[-1, leaving]) < _LEAVES * distance[-1]:
-        sides[-1] = 0.0  # on none
-    return [_Passage(k, float(sides[k]), float(distance[k] / largest[k])) for k in places[: shooting.pulses]]
-
-
-def _first_difference(first: list[_Passage], second: list[_Passage]) -> int | None:
-    """Number of the first passage that is on different sides, None where there is none."""
-    for k, (a, b) in enumerate(zip(first, second, strict=False)):
-        if a.side != b.side:
-            return k if a.side * b.side else None
-    return None
+# ---- refinement
 
 
 def _refined(shooting: Shooting, manifold: Manifold, bracket: SideChange) -> ConnectionSeed | None:
@@ -369,10 +330,13 @@ class _PathSearch:
     def _look(self, paths: list[_Nearest]) -> int | None:
         """Number of the path after which sides change, None without; it or the next one may be the nearest."""
         pulse, passed = self._bracket.pulse, self._bracket.passed
-        passages = [
-            _passages(self._shooting, self._manifold, arrival.path, arrival.arrival, passed) for arrival in paths
-        ]
-        changed = [k for k in range(len(paths) - 1) if _first_difference(passages[k], passages[k + 1]) == pulse]
+        passages = passages_of_paths(
+            self._shooting.view(self._manifold.backward),
+            [each.path for each in paths],
+            [each.arrival for each in paths],
+            passed,
+        )
+        changed = [k for k in range(len(paths) - 1) if first_difference(passages[k], passages[k + 1]) == pulse]
         if not changed:
             return None
         self._pair = paths[changed[0]], paths[changed[0] + 1]

@@ -12,8 +12,9 @@ from jaxnh.orbits.collocation.connections import ConnectionCurve, Stretch, rever
 from jaxnh.orbits.collocation.equations import Problem
 
 _NEAR = 0.1  # sizes and widths: an orbit this near to a chord may be on the curve
-_SAME = 1e-2  # likewise, of the orbit that Newton finds on the curve beside it: boxes are those of points of a mesh
+_SAME = 1e-2  # likewise, of the orbit that Newton comes to on the curve beside it: boxes are those of points of a mesh
 _BEYOND = 1e-4  # widths: an orbit further beyond the end of a curve continues it
+_CHORDS = 4  # of those that may be it, at most: next to a point there are two, and as many of a part of another shape
 _LENGTHS = 0.1  # of the length of the path: an orbit of another number of pulses has another one
 
 
@@ -72,9 +73,16 @@ def _from_place(curve: ConnectionCurve, place: _Place, orbit: Connection) -> lis
 
 
 def _place(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> _Place | None:
-    """The place of an orbit on a curve, None where it is on none: the nearest chord, and by Newton the orbit there."""
-    values, shape = orbit.values / problem.widths, _shape(problem, orbit)
-    nearest, least = None, _NEAR
+    """The place of an orbit on a curve, None where it is on none: a chord beside it, and by Newton the orbit there.
+
+    Chords are taken by their distances in the parameters, those of a similar orbit alone: boxes say no more than that
+    one is similar.
+    """
+    values, shape, near = (
+        orbit.values / problem.widths,
+        _shape(problem, orbit),
+        list[tuple[float, _Place, np.ndarray]](),
+    )
     for number, stretch in enumerate(curve.stretches):
         chain = np.array([point.values for point in stretch.points]) / problem.widths
         shapes = [_shape(problem, point) for point in stretch.points]
@@ -82,28 +90,35 @@ def _place(problem: Problem, curve: ConnectionCurve, orbit: Connection) -> _Plac
             gap = values - chain[k]
             share = float(np.clip(gap @ chord / max(chord @ chord, 1e-300), 0.0, 1.0))
             between = (1.0 - share) * shapes[k] + share * shapes[k + 1]
-            away = max(float(np.linalg.norm(gap - share * chord)), float(np.abs(between - shape).max()))
-            if away <= least:
-                nearest, least = (_Place(number, k, share), chord), away
-    if nearest is None:
-        return None
-    place, chord = nearest
+            away = float(np.linalg.norm(gap - share * chord))
+            if max(away, float(np.abs(between - shape).max())) <= _NEAR:
+                near.append((away, _Place(number, k, share), chord))
+    near.sort(key=lambda each: each[0])
+    return next((place for _, place, chord in near[:_CHORDS] if _is_at(problem, curve, place, chord, orbit)), None)
+
+
+def _is_at(
+    problem: Problem, curve: ConnectionCurve, place: _Place, chord: Float[np.ndarray, " 2"], orbit: Connection
+) -> bool:
+    """Return whether Newton comes to an orbit at a place on a chord of a curve, or next to it along the curve."""
     there = curve.stretches[place.stretch].between(place.point, place.share)
     if there is None:
-        return None
-    gap = values - there.values / problem.widths
+        return False
+    gap = (orbit.values - there.values) / problem.widths
     on = place.share + gap @ chord / max(chord @ chord, 1e-300)  # along the chord
     beyond = abs(on - np.clip(on, 0.0, 1.0)) * np.linalg.norm(chord)
     across = np.linalg.norm(gap - (on - place.share) * chord)
     lengths = [_length(problem, point) for point in (there, orbit)]
-    same = max(across, np.abs(_shape(problem, there) - shape).max()) <= _SAME
-    return place if same and beyond <= _BEYOND and abs(lengths[0] - lengths[1]) <= _LENGTHS * lengths[1] else None
+    same = max(across, np.abs(_shape(problem, there) - _shape(problem, orbit)).max()) <= _SAME
+    return bool(same and beyond <= _BEYOND and abs(lengths[0] - lengths[1]) <= _LENGTHS * lengths[1])
 
 
 def _shape(problem: Problem, orbit: Connection) -> Float[np.ndarray, " 4d"]:
     """The box around an orbit with its saddles, and these, in sizes: how near to them it is cut says nothing of it."""
     saddles = np.stack([orbit.departure.state, orbit.arrival.state]) / problem.size
-    whole = np.concatenate([orbit.solution.path.ends[0] / problem.size, saddles])
+    path, d = orbit.solution.path, len(problem.size)
+    states = np.concatenate([path.ends[0], path.stages[0].reshape(-1, d)])  # between two ends a box may be larger
+    whole = np.concatenate([states / problem.size, saddles])
     return np.concatenate([whole.min(axis=0), whole.max(axis=0), *saddles])
 
 
