@@ -248,7 +248,8 @@ def test_a_fast_particle_does_not_go_to_infinity():
     sample = Samples(state, {"b": np.array([500.0])}, np.zeros(1, int), {})
     words = explain_motion(SimpleNamespace(flows=[system], flow=system, parts=1, sectioned=False), sample)
     assert re.fullmatch(
-        "rates of change reach .* a period: the system is stiff; slow down what is fast in it, or ask for less", words
+        "rates of change reach .* a period: the motion turns as fast; slow down what is fast in it, or ask for less",
+        words,
     )
 
 

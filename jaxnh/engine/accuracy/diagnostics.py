@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
 from jaxnh.engine.accuracy.kinks import find_kink
 from jaxnh.engine.accuracy.rounding import is_rounding, last_digit
@@ -31,6 +32,7 @@ from jaxnh.systems.user_functions import COMPILED_FOR_ONE_CALL
 _LONG = 4.0  # times the median return: errors have grown in it
 _STIFF = 200.0  # rates a unit of time that explicit steps of the reference do not follow
 _UNRESOLVED = 1.0  # of a rate times a step: from here on explicit steps do not follow it
+_STIFFER = 2.0  # times as fast as all else, at least, what is stiff decays
 _UNSTABLE = 2.8  # of a rate times a step of the classical method, which from here on goes to infinity by itself
 _ROUGHLY = 2048  # steps along a motion that is looked at
 _FINER, _SAME_END = 4, 3.0  # times as many steps, with which infinity is as near, in steps, if it is the motion's own
@@ -38,6 +40,33 @@ _LOOKED_AT = 64  # states of these at which rates are
 _MODERATE = 100.0  # times that a map enlarges a rounding, which is then that of a large number and not of chaos
 _SHARE_OF_DIGIT = 1 / 128  # of an error: roundings of some 16,000 steps add up like their root, to no more
 _LARGE = 100.0  # times the size of its motion, that a coordinate is far from zero
+
+
+_DECAYS, _GROWS, _TURNS = (
+    "the system is stiff",
+    "motions near this one part as fast, as where one escapes",
+    "the motion turns as fast",
+)
+
+
+class _FastestRates(NamedTuple):
+    """The fastest rate of change at states of a motion.
+
+    Steps that follow what grows or turns are as short for its own sake. Of what decays much faster than all else
+    changes they have to be short for stability alone: that is stiff.
+
+    Attributes:
+        fastest: largest modulus of an eigenvalue.
+        kind: what changes so fast.
+    """
+
+    fastest: float
+    kind: str
+
+    def describe(self, flow: Flow) -> str:
+        """Describe the rates of a flow, for the user."""
+        unit = "unit of time" if flow.autonomous else "period"
+        return f"rates of change reach {self.fastest * flow.period:.2g} a {unit}: {self.kind}"
 
 
 def fault_of(system: System, state: State, p: Parameters, first_look: str = "") -> str:
@@ -50,14 +79,23 @@ def fault_of(system: System, state: State, p: Parameters, first_look: str = "") 
         return why
     flow, state = flow_of(system), state.state if isinstance(system, Section) else state
     alone = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
-    if (fastest := _fastest_rate(flow, np.zeros(1), alone, p) * flow.period) > _STIFF:
+    if (rates := _fastest_rates(flow, np.zeros(1), alone, p)).fastest * flow.period > _STIFF:
+        if first_look and rates.kind == _GROWS:
+            return first_look
         time_unit = ", or give a smaller time_unit" if flow.autonomous else ""
-        return f"{_stiff(flow, fastest)}; slow down what is fast in it{time_unit}"
+        return f"{rates.describe(flow)}; slow down what is fast in it{time_unit}"
     if first_look:
         return first_look
     if isinstance(system, Section):
         return f"the section may not be met within {system.longest * flow.period:g} units of time"
     return ""
+
+
+def describe_rates(system: System, state: State, p: Parameters) -> str:
+    """Describe the fastest rates of change at a state, floats."""
+    flow, state = flow_of(system), state.state if isinstance(system, Section) else state
+    alone = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
+    return _fastest_rates(flow, np.zeros(1), alone, p).describe(flow)
 
 
 def lost_rank(system: System, state: State, p: Parameters) -> str:
@@ -91,9 +129,11 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
     if why := describe_near_singularity(flow, times, passed, p):
         return why
     if not np.all(finite := is_finite(passed)):
-        fastest = _fastest_rate(flow, times[:1], select(passed, slice(1)), p)
-        if fastest * (times[1] - times[0]) > _UNSTABLE:  # of the steps that are to show the motion, and no fault of it
-            return f"{_stiff(flow, fastest * flow.period)}; slow down what is fast in it, or ask for less"
+        rates = _fastest_rates(flow, times[:1], select(passed, slice(1)), p)
+        if (
+            rates.fastest * (times[1] - times[0]) > _UNSTABLE
+        ):  # of the steps that are to show the motion, no fault of it
+            return f"{rates.describe(flow)}; slow down what is fast in it, or ask for less"
         _, finer_times, finer, _ = _motion_of(maps, sample, length, _FINER * _ROUGHLY)
         if not np.all(still := is_finite(finer)):
             end, step = times[np.argmin(finite)], times[1] - times[0]
@@ -136,16 +176,11 @@ def explain_rounding(maps: SampleMaps, sample: Samples, sizes: Float[np.ndarray,
 def _explain_rates(maps: SampleMaps, flow: Flow, times: np.ndarray, passed: State, p: Parameters) -> str:
     """Explain an error by rates on a motion that the most steps do not follow; "" where these do."""
     picked = spread_indices(len(times), _LOOKED_AT)
-    fastest = _fastest_rate(flow, times[picked], select(passed, picked), p) * flow.period
+    rates = _fastest_rates(flow, times[picked], select(passed, picked), p)
     steps = max(1, maps.scheme.reference.most_steps(maps.tried))
-    if fastest < _UNRESOLVED * steps:
+    if rates.fastest * flow.period < _UNRESOLVED * steps:
         return ""
-    return f"{_stiff(flow, fastest)}; slow down what is fast in it, or ask for less"
-
-
-def _stiff(flow: Flow, fastest: float) -> str:
-    unit = "unit of time" if flow.autonomous else "period"
-    return f"rates of change reach {fastest:.2g} a {unit}: the system is stiff"
+    return f"{rates.describe(flow)}; slow down what is fast in it, or ask for less"
 
 
 def _motion_of(
@@ -187,8 +222,8 @@ def _motion(flow: Flow, y: State, p: Parameters, length: float, steps: int = _RO
     return times, jax.tree.map(np.asarray, motion(jax.tree.map(jnp.asarray, y), p))
 
 
-def _fastest_rate(flow: Flow, times: np.ndarray, states: State, p: Parameters) -> float:
-    """Largest modulus of the eigenvalues of a flow's linearisations at states (count,) of a motion.
+def _fastest_rates(flow: Flow, times: np.ndarray, states: State, p: Parameters) -> _FastestRates:
+    """The largest modulus of the eigenvalues of a flow's linearisations at states (count,) of a motion, and its kind.
 
     Those that are not finite are left out; zero where all are.
     """
@@ -200,5 +235,18 @@ def _fastest_rate(flow: Flow, times: np.ndarray, states: State, p: Parameters) -
         return jax.jacfwd(lambda z: ravel_pytree(flow.rhs(t, whole(z), p))[0])(flat)
 
     each = np.asarray(jacobians(jnp.asarray(times), jax.tree.map(jnp.asarray, states)))
-    finite = each[np.isfinite(each).all(axis=(1, 2))]
-    return float(np.abs(np.linalg.eigvals(finite)).max(initial=0.0))
+    eigenvalues = np.linalg.eigvals(each[np.isfinite(each).all(axis=(1, 2))])
+    if not eigenvalues.size:
+        return _FastestRates(0.0, _DECAYS)
+    return _rates_of(eigenvalues[np.argmax(np.abs(eigenvalues).max(axis=1))])
+
+
+def _rates_of(eigenvalues: Complex[np.ndarray, " d"]) -> _FastestRates:
+    """The fastest of a state's rates, and whether what decays is far faster than all else."""
+    moduli, real, imaginary = np.abs(eigenvalues), np.real(eigenvalues), np.abs(np.imag(eigenvalues))
+    growth, turning, decay = (
+        float(np.max(moduli, initial=0.0, where=which))
+        for which in (real > imaginary, np.abs(real) <= imaginary, -real > imaginary)
+    )
+    kind = _DECAYS if decay > _STIFFER * max(growth, turning) else _GROWS if growth >= turning else _TURNS
+    return _FastestRates(float(moduli.max(initial=0.0)), kind)

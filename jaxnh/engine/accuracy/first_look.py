@@ -31,6 +31,7 @@ LANES_FOLLOWED = 8
 _TOLERANCE = 1e-4  # error of a step, of the largest modulus of each coordinate so far
 _FIRST_STEP = 1e-6  # of the length of time
 _SHORTEST = 1e-13  # of it: what needs shorter steps goes to infinity, or its rates do
+_OVERFLOWING = 1e-9 * float(np.finfo(float).max)  # what has come so far in steps that are not too short grows like exp
 _VANISHES = 1e-13  # of the largest coordinate: below it one may be nothing but the rounding of others
 _LIMITING = 0.05  # of the tolerance: an error by which the length of a step was chosen, as that of the first is not
 _MOST_TRIALS = 1 << 18
@@ -149,7 +150,12 @@ def first_look(maps: SampleMaps, samples: Samples, periods: float = 1.0) -> Firs
         return FirstLook(min(_MOST_STEPS, 1 << max(0, math.ceil(math.log2(needed)))), "")
     share = float(np.max(passage.arrived))
     if share > 0.0:
-        return FirstLook(0, f"the motion goes to infinity at t = {share * length:.3g}")
+        when, farthest = f"at t = {share * length:.3g}", passage.moduli[np.argmax(passage.arrived)]
+        if np.max(farthest) < _OVERFLOWING:
+            return FirstLook(0, f"the motion goes to infinity {when}")
+        cut = maps.flow.autonomous and not maps.sectioned
+        remedy = "; slow down its growth, or give a smaller time_unit" if cut else "; slow down its growth"
+        return FirstLook(0, f"the motion grows beyond the largest number {when}{remedy}")
     return FirstLook(0, "")
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.engine.accuracy.diagnostics import fault_of, lost_rank
+from jaxnh.engine.accuracy.diagnostics import describe_rates, fault_of, lost_rank
 from jaxnh.engine.accuracy.first_look import LANES_FOLLOWED, first_look, follow
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between, image_of
 from jaxnh.engine.accuracy.sizes import measure_sizes, rough_sizes
@@ -147,9 +147,10 @@ def _follow_from_start(
         steps *= 2
         if steps * maps.scheme.reference.stages > _MOST_SEED_KICKS:
             some = np.any(is_finite(last))
-            why = "" if maps.adaptive and some else _lost_rank(maps, start, states, stays)
+            before = _last_finite(states, stays)
+            why = "" if maps.adaptive and some else lost_rank(*_lane_at(maps, start, stays, before))
             if why or not maps.adaptive:
-                raise _stiff(start, stays, why)
+                raise _not_followed(maps, start, stays, before, why)
             return start._replace(states=states), apart, steps
 
 
@@ -206,12 +207,15 @@ def _longest_return(maps: SampleMaps, states: State) -> float | None:
     return max(longest, maps.flow.period)
 
 
-def _lost_rank(maps: SampleMaps, start: Samples, states: State, lane: int) -> str:
-    """Explain what matrix is singular where a lane is lost; "" where none is."""
+def _last_finite(states: State, lane: int) -> State:
+    """The last of a lane's states (lanes, periods) before it is lost."""
     finite = np.stack([np.isfinite(leaf[lane]) for leaf in jax.tree.leaves(states)]).all(axis=0)
-    last = int(np.argmin(finite)) - 1
-    before, p = select(states, (lane, last)), select(dict(start.p), lane)
-    return lost_rank(maps.flows[int(start.row[lane])], before, p)
+    return select(states, (lane, int(np.argmin(finite)) - 1))
+
+
+def _lane_at(maps: SampleMaps, start: Samples, lane: int, state: State) -> tuple[System, State, Parameters]:
+    """The system of a lane, a state of it, and its parameters."""
+    return maps.flows[int(start.row[lane])], state, select(dict(start.p), lane)
 
 
 def _one_by_one(samples: Samples) -> Samples:
@@ -258,7 +262,7 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
             if all(_settles(part, samples, steps, states) for states in (samples.states, later)):
                 return steps
     if stays >= 0 and not maps.adaptive:
-        raise _stiff(samples, stays)
+        raise _not_followed(maps, samples, stays, select(samples.states, stays))
     return max(steps, first_look(maps, samples).steps) if np.all(lost) else steps
 
 
@@ -282,10 +286,15 @@ def _stays_finite(
     return int(picked[np.argmax(arrived)]) if np.any(arrived) else -1
 
 
-def _stiff(samples: Samples, lane: int, why: str = "") -> LostLaneError:
-    """The error that steps do not follow the motion of a lane, with what is singular there."""
-    reason = f"the motion: {why}" if why else "a motion that stays finite: it is stiff"
-    return LostLaneError(f"at {samples.place(lane)} steps do not follow {reason}")
+def _not_followed(maps: SampleMaps, start: Samples, lane: int, before: State, why: str = "") -> LostLaneError:
+    """The error that steps do not follow the motion of a lane, with what is singular there, or else its rates.
+
+    Args:
+        before: a state of the lane from which it is lost.
+    """
+    rates = "" if why else describe_rates(*_lane_at(maps, start, lane, before))
+    reason = f"the motion: {why}" if why else f"a motion that stays finite: {rates}"
+    return LostLaneError(f"at {start.place(lane)} steps do not follow {reason}")
 
 
 def _settles(maps: SampleMaps, samples: Samples, steps: int, states: State) -> bool:
