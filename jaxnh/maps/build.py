@@ -361,7 +361,7 @@ def section_strobe(system: Section, solver: Solver, steps: int, *, backward: boo
         unit = adaptive_strobe(flow, solver, steps, (0.0, 1.0), backward=backward)
     elif isinstance(flow, PiecewiseSmooth):
         met = replace(system, flow=backward_motion(flow, 0.0)) if backward else system
-        return JumpingSection(met, _with_events(solver), step, most)
+        return JumpingSection(met, _with_events(solver), step, most, backward)
     else:
         unit = map_of_one_step(flow, solver)
     return EventStrobe(system, unit, -step if backward else step, most, backward)

@@ -112,7 +112,7 @@ class _Approach(NamedTuple):
 
     Attributes:
         march: since the crossing before.
-        t: time since the start at that crossing.
+        t: time of the flow since the start at that crossing.
         by_tangent: what each tangent changes in it.
         left: crossings.
         leaving: rate of the height at the crossing before.
@@ -133,12 +133,15 @@ class JumpingSection(ReturnMap):
         solver: a Runge–Kutta method of the package.
         step: length of a step.
         most_steps: without a crossing in so many a lane has failed.
+        backward: whether the flow is one back in time: it goes on from time to time, and crossings have that of the
+            motion, which falls.
     """
 
     system: Section
     solver: WrittenOutRungeKutta = eqx.field(static=True)
     step: ArrayLike
     most_steps: ArrayLike
+    backward: bool = eqx.field(static=True, default=False)
 
     @property
     def most_lanes(self) -> int | None:
@@ -168,10 +171,10 @@ class JumpingSection(ReturnMap):
         own, zero = own_parameters(self.system.flow, p), jnp.zeros_like(state.t)
         by_p: list[Any] = [{**jax.tree.map(jnp.zeros_like, own), **t.p} if t.p else None for t in tangents]
         start = Moving(state.state, tuple(t.state.state for t in tangents), zero if volume else None)
-        ended = _last_of(*self._approach(1, state, start, tuple(t.state.t for t in tangents), p, by_p))
+        ended = _last_of(*self._approach(1, state, start, tuple(self._turned(t.state.t) for t in tangents), p, by_p))
         moving = ended.march.moving
         pushed = tuple(
-            Tangent(Crossing(dz, later, zero), t.p)
+            Tangent(Crossing(dz, self._turned(later), zero), t.p)
             for dz, later, t in zip(moving.tangents, ended.by_tangent, tangents, strict=True)
         )
         grown = moving.log_volume if volume else zero
@@ -202,7 +205,7 @@ class JumpingSection(ReturnMap):
         )
         march = lane.begin(at_begin, grid)
         march = self._on_side(march, p)
-        first = _Approach(march, start.t, by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])
+        first = _Approach(march, self._turned(start.t), by_tangent, jnp.asarray(n, jnp.int32), march.rate[-1])
 
         def unfinished(search: _Approach) -> Array:
             return (search.left > 0) & lane.unfinished(search.march)
@@ -286,7 +289,12 @@ class JumpingSection(ReturnMap):
         why = jnp.where(march.moving.state.reason > 0.0, march.moving.state.reason, why)
         reason = jnp.where(crossed, start.reason, jnp.where(start.reason > 0.0, start.reason, why))
         y = tuple(jnp.where(crossed, x, jnp.nan) for x in march.moving.state.y)
-        return Crossing(march.moving.state._replace(y=y, reason=reason), jnp.where(crossed, ended.t, jnp.nan), reason)
+        t = jnp.where(crossed, self._turned(ended.t), jnp.nan)
+        return Crossing(march.moving.state._replace(y=y, reason=reason), t, reason)
+
+    def _turned(self, t: Array) -> Array:
+        """Time of the motion as that of the flow, or the other way round."""
+        return -t if self.backward else t
 
 
 def _last_of(

@@ -29,7 +29,7 @@ class Crossing(NamedTuple):
 
     Attributes:
         state: of the flow.
-        t: time since the start.
+        t: time since the start, that of the motion: less than zero back in time, whatever steps it is followed by.
         reason: why the lane has failed, else zero.
     """
 

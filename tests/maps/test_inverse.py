@@ -10,8 +10,11 @@ from scipy.integrate import solve_ivp
 
 from jaxnh.engine.from_python import experiment_of
 from jaxnh.maps.build import make_return_map
+from jaxnh.maps.crossings import EventStrobe
 from jaxnh.maps.inverse import backward_parts, make_inverse_map
 from jaxnh.maps.iterate import derivatives
+from jaxnh.maps.jumping_section import JumpingSection
+from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.section import Section
 from jaxnh.solvers import SOLVERS
 from jaxnh.systems.corners import with_switches
@@ -190,6 +193,36 @@ def test_inverses_undo_maps_and_their_derivatives(case):
     # Steps of a lane's own pass corners within one of them, whose length is not differentiated.
     assert np.abs(product - np.eye(len(u))).max() < (1e-5 if case == PASSED_WITHIN_A_STEP else 1e-6) * both
     assert np.abs(there.image - u).max() > 0.001
+
+
+@pytest.mark.parametrize(
+    ("define", "solver", "steps", "kind"),
+    [
+        (van_der_pol, "tsitouras_papakostas8", 60, EventStrobe),
+        (van_der_pol, "adaptive_tsitouras_papakostas8", 100, EventStrobe),
+        (bent_van_der_pol, "tsitouras_papakostas8", 60, JumpingSection),
+    ],
+)
+def test_time_falls_on_the_way_back(define, solver, steps, kind):
+    """Of crossings, and of what a tangent changes in it: there and back in no time, and back alone in less than none."""
+    section = Section(flow_of(define, x=0.1), "x", 0, 0.0, "up")
+    ahead, back = (each(section, SOLVERS[solver], steps) for each in (make_return_map, make_inverse_map))
+    assert isinstance(back, kind)
+    start = section.chart.state(jnp.array([1.5]))
+    aside = Tangent(jax.tree.map(jnp.subtract, section.chart.state(jnp.array([2.5])), start))
+    once = jax.jit(lambda strobe, state, tangent: strobe.pushforward(state, {}, (tangent,)))
+    there = once(ahead, start, aside)
+    again = once(back, there.state, there.tangents[0])
+    alone = once(back, there.state._replace(t=0.0 * there.state.t), aside)
+    assert 5.0 < float(there.state.t) < 8.0  # near 2π
+    assert abs(float(again.state.t)) < CLOSE
+    assert float(alone.state.t) == pytest.approx(-float(there.state.t), abs=CLOSE)
+    later, left = (float(pushed.tangents[0].state.t) for pushed in (there, again))
+    assert abs(later) > 0.001
+    assert (
+        abs(left)
+        < 1e-6 * abs(later) * np.abs(derivatives(back, 1, section.chart.point(there.state), {}).monodromy).max()
+    )
 
 
 def on_section(section, strobe):
