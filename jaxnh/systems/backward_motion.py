@@ -7,11 +7,14 @@ the flow passes it the other way, nothing is. Of jumps at one time the last is u
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from jaxnh.systems.chart import Chart
 from jaxnh.systems.flow import Flow, Parameters
@@ -124,3 +127,25 @@ def check_invertible(flow: Flow) -> None:
             "where a motion came from is not known of jumps that are not linear in the state or take several states to "
             "one, and in mechanics of those by then"
         )
+
+
+def check_jumps(flow: Flow, p: Mapping[str, Float[np.ndarray, " lanes"]]) -> None:
+    """Check that jumps, which are linear, take no two motions to one in any lane.
+
+    Args:
+        flow: whose motions are followed back.
+        p: parameters of lanes.
+
+    Raises:
+        TypeError: derivatives of a jump are singular, as of an impact whose restitution is zero.
+    """
+    if not isinstance(flow, PiecewiseSmooth) or not flow.jumps:
+        return
+    for slopes in jax.vmap(flow.jump_slopes)(dict(p)) if p else flow.jump_slopes({}):
+        each = np.asarray(slopes)
+        each = each[np.isfinite(each).all(axis=(-2, -1))]
+        if np.any(np.linalg.matrix_rank(each) < each.shape[-1]):
+            raise TypeError(
+                "a jump takes several motions to one in a lane, as an impact of restitution zero does, "
+                "and there is no way back"
+            )

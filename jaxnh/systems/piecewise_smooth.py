@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 from jaxnh.systems.definition import Definition, marked
 from jaxnh.systems.elimination import eliminate
@@ -157,6 +158,11 @@ class PiecewiseSmooth(FirstOrder):
         """Return whether all jumps are linear in the state, so that it is known where motions came from."""
         jumps = self.define(**self.values).get("jumps", ())
         return all(_is_linear(jump["then"], len(self.names)) for jump in jumps)
+
+    def jump_slopes(self, p: Parameters) -> list[Float[Array, "n n"]]:
+        """Derivatives of each jump, all of which are linear, in what it changes."""
+        jumps, state = self.definition(p).get("jumps", ()), np.random.default_rng(0).uniform(0.5, 1.5, len(self.names))
+        return [jax.jacfwd(_as_vector(jump["then"]))(state) for jump in jumps]
 
     def before_jump(
         self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]
@@ -364,6 +370,11 @@ def _is_linear(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension:
     if not np.allclose(left, left[0], rtol=0.0, atol=_LINEAR * (10.0 + np.max(np.abs(left)))):
         return False
     return not Program(slopes, np.zeros(dimension), 0.0).output_depends([1, 0])
+
+
+def _as_vector(then: Callable[[Vector, ArrayLike], Sequence[Number]]) -> Callable[[Any], Array]:
+    """A jump at a time in no special place, of vectors."""
+    return lambda y: jnp.stack([jnp.asarray(x, jnp.float64) for x in then(tuple(y), 0.1)])
 
 
 def _forgets(then: Callable[[Vector, ArrayLike], Sequence[Number]], dimension: int) -> bool:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
+from jaxtyping import Array
 
 from jaxnh.systems.definition import Definition
 from jaxnh.systems.flow import Parameters
@@ -185,6 +186,11 @@ class SwitchedMechanics(PiecewiseSmooth):
     def has_linear_jumps(self) -> bool:
         """Return whether all jumps are impacts, which are linear in the velocities."""
         return all("restitution" in jump for jump in self.define(**self.values).get("jumps", ()))
+
+    def jump_slopes(self, p: Parameters) -> list[Array]:
+        """The restitution of each impact, by which it multiplies the speed away from its wall, as a matrix (1, 1)."""
+        jumps = self.definition(p).get("jumps", ())
+        return [jnp.reshape(jnp.asarray(jump["restitution"], jnp.float64), (1, 1)) for jump in jumps]
 
     def before_jump(
         self, number: int, t: ArrayLike, y: PiecewisePoint, p: Parameters, sides: tuple[Number, ...]

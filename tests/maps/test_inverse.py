@@ -17,6 +17,7 @@ from jaxnh.maps.jumping_section import JumpingSection
 from jaxnh.maps.protocol import Tangent
 from jaxnh.maps.section import Section
 from jaxnh.solvers import SOLVERS
+from jaxnh.systems.backward_motion import check_jumps
 from jaxnh.systems.corners import with_switches
 from jaxnh.systems.piecewise_smooth import piecewise_smooth
 from tests.flows.piecewise_circuits import CIRCUITS
@@ -267,6 +268,31 @@ def bouncing(then, **more):
 def test_what_has_no_inverse(flow, words):
     with pytest.raises(TypeError, match=words):
         make_inverse_map(flow, SOLVERS["tsit5"], 10)
+
+
+def rebound(r=0.5):
+    """A particle that rebounds from a wall."""
+    wall = {"when": lambda y, t: y[0], "then": lambda y, t: (y[0], -r * y[1])}
+    return {"rhs": lambda y, t: (y[1], -1.0), "coordinates": ("x", "v"), "jumps": [wall]}
+
+
+def rebound_of_mechanics(r=0.5):
+    wall = {"when": lambda q, v, t: q[0], "restitution": r}
+    return {
+        "T": lambda q, v, t: 0.5 * v[0] ** 2, "Q": lambda q, v, t: (-1.0,), "coordinates": ("x",),
+        "jumps": [wall],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("define", [rebound, rebound_of_mechanics])
+def test_a_lane_whose_jump_takes_several_motions_to_one(define):
+    """By the values of lanes, whatever the default is; none of what has no jumps, or no parameter."""
+    flow = flow_of(define, x=0.1)
+    check_jumps(flow, {"r": np.array([0.5, 1e-12, 1.0])})
+    check_jumps(flow, {})
+    check_jumps(flow_of(van_der_pol, x=0.1), {})
+    with pytest.raises(TypeError, match="takes several motions to one in a lane, as an impact of restitution zero"):
+        check_jumps(flow, {"r": np.array([0.5, 0.0])})
 
 
 def test_kicks_at_one_time_come_in_the_order_of_the_list():

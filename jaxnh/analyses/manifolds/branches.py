@@ -23,6 +23,7 @@ from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, find_or
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import section_map
+from jaxnh.systems.backward_motion import check_jumps
 from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 
@@ -72,6 +73,7 @@ def sides_of(options: ManifoldsOptions, batch: LaneBatch) -> dict[int, Side]:
     if options.kind != "unstable":
         try:
             sides[1] = side_of(batch.inverse, backward=True)
+            check_jumps(batch.flow, batch.p)
         except TypeError as error:
             raise OptionError(f"{error}; stable manifolds need that: take kind: unstable", "kind") from None
     return sides
