@@ -346,12 +346,15 @@ def near_turn(ends: tuple[Array, Array, Array, Array], side: Array) -> tuple[Arr
 def improve_share(
     share: Array, height: Array, rate: Array, rising: Array, low: Array, high: Array
 ) -> tuple[Array, Array, Array]:
-    """Newton's better share of a step, for a height and its rate, in the part that has the crossing; that part."""
+    """Newton's better share of a step, for a height and its rate, in the part that has the crossing; that part.
+
+    At an end of the part rounding may take it beyond: halving from there would settle as far away as steps do.
+    """
     short = height * rising < 0.0
     low, high = jnp.where(short, share, low), jnp.where(short, high, share)
     better = share - height / rate
-    inside = (better >= low) & (better <= high)
-    return jnp.where(inside, better, 0.5 * (low + high)), low, high
+    inside = (better >= low - SETTLED) & (better <= high + SETTLED)
+    return jnp.where(inside, jnp.clip(better, low, high), 0.5 * (low + high)), low, high
 
 
 def _compose(step_map: ReturnMap, pushed: Pushforward, p: Parameters, volume: bool) -> Pushforward:

@@ -18,6 +18,7 @@ from jaxnh.maps.saltation import AfterEvent, Arrival, Reading
 
 _AT_ONE_TIME = 1.0 - 2.0**-20  # share of a trial up to an event from which on another is at the same time
 _AT_ONCE = 2.0**-20  # share of a trial below which a passage is at its beginning
+_SOME_WAY = 1e3  # times what is on a wall: a trial that goes further has not begun on it with a jump
 _BESIDE_END = 1.0 + 2.0**-20  # share up to which a passage at the end of a trial is looked for
 
 
@@ -145,7 +146,7 @@ def passages_within(
         kept_side: 1.0 where that is no passage, and −1.0 where it is.
         earlier: of each height whether it is passed before the one that is sought, at the same time.
     """
-    kept, arriving = _heights_at_end(march, reading, before, on_wall, kept_side)
+    kept, arriving = _heights_at_end(march, reading, h, before, seeking, on_wall, kept_side)
     ends = [(a, b * h, c, d * h) for a, b, c, d in zip(march.height, march.rate, kept, reading.rate, strict=True)]
     between = [crossing_between(e, side, either=both) for e, side, both in zip(ends, before, either, strict=True)]
     between = [
@@ -203,18 +204,33 @@ def is_on_section_first(number: int, march: March, reading: Reading, after: Afte
 
 
 def _heights_at_end(
-    march: March, reading: Reading, before: Heights, on_wall: Sequence[Array], kept_side: float
+    march: March,
+    reading: Reading,
+    h: Array,
+    before: Heights,
+    seeking: Array,
+    on_wall: Sequence[Array],
+    kept_side: float,
 ) -> tuple[list[Array], list[Array]]:
-    """Heights at the end of a trial, near zero on the side that they count for, and which arrive there."""
+    """Heights at the end of a trial, near zero on the side that they count for, and which arrive there.
+
+    A motion that has gone some way to a wall at the end of the last step comes from the side that its rate says,
+    whatever rounding does.
+    """
     kept = [
         jnp.where(jnp.abs(x) <= r, 1e-300 * s, x)
         for x, r, s in zip(reading.height, march.rounding, before, strict=True)
     ]
-    arriving = [
-        (s != 0.0) & (jnp.abs(x) <= near) & (rate * b < 0.0)
-        for x, near, rate, b, s in zip(kept, on_wall, reading.rate, before, march.side, strict=True)
+    ending = [(s != 0.0) & (jnp.abs(x) <= near) for x, near, s in zip(kept, on_wall, march.side, strict=True)]
+    arriving = [there & (rate * b < 0.0) for there, rate, b in zip(ending, reading.rate, before, strict=True)]
+    come = [
+        seeking & there & (jnp.abs(rate * h) > _SOME_WAY * near)
+        for there, rate, near in zip(ending, reading.rate, on_wall, strict=True)
     ]
-    kept = [jnp.where(there, kept_side * 1e-300 * b, x) for there, b, x in zip(arriving, before, kept, strict=True)]
+    kept = [
+        jnp.where(arrives, kept_side * 1e-300 * b, jnp.where(comes, -1e-300 * jnp.sign(rate), x))
+        for arrives, comes, b, rate, x in zip(arriving, come, before, reading.rate, kept, strict=True)
+    ]
     return kept, arriving
 
 

@@ -309,3 +309,20 @@ def test_kicks_at_one_time_come_in_the_order_of_the_list():
         if end in times:
             exact[1] = -0.5 * (exact[1] - 0.7)
     assert np.abs(np.array(image.y) - exact).max() < 1e-11
+
+
+def test_kicks_at_both_ends_and_between_in_one_step():
+    """Back from the end of a period: the kick there, that halfway, and not that at the beginning, as none is forward."""
+
+    def define():
+        kick = {"when": lambda y, t: jnp.sin(TURN * t), "direction": "both", "then": lambda y, t: (y[0], y[1] - 0.3)}
+        rhs = lambda y, t: (y[1], y[0] + 0.0 * t)  # noqa: E731
+        return {"rhs": rhs, "coordinates": ("x", "v"), "period": 1.0, "jumps": [kick]}
+
+    flow, (a, b) = piecewise_smooth(define, {}), (np.cosh(0.5), np.sinh(0.5))
+    exact, half = np.array([0.2, 0.1]), np.array([[a, -b], [-b, a]])
+    for _ in range(2):
+        exact = half @ (exact + np.array([0.0, 0.3]))
+    back = make_inverse_map(flow, SOLVERS["verner9"], 1)
+    end = jax.jit(lambda z: back(z, {}))(jax.tree.map(jnp.asarray, flow.start({"x": 0.2, "v": 0.1})))
+    assert np.abs(np.array(end.y) - exact).max() < 1e-10  # two steps of 0.5 of order nine
