@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -181,6 +182,25 @@ class WrittenOutRungeKutta(ExplicitMethod):
         rates = lax.fori_loop(0, count, stage, jnp.zeros((room, *initial.shape), initial.dtype))
         after = apart(initial + total(count, count, rates))
         return after + apart(total(count + 1, count, rates)) if pair else after
+
+
+@cache
+def two_half_steps(method: WrittenOutRungeKutta) -> WrittenOutRungeKutta:
+    """Return the method whose step is two steps of half the length by another one.
+
+    Where events cut steps shorter than the grid has them, more steps may leave them as they are; this halves them all.
+    """
+    count = method.stages
+    rows = [tuple(0.5 * w for w in row[:count]) for row in method.a[:count]]
+    first = tuple(0.5 * w for w in method.b[:count])
+    return replace(
+        method,
+        a=(*rows, *(first + row for row in rows)),
+        b=first + first,
+        b_error=(0.0,) * (2 * count),
+        c=(*(0.5 * x for x in method.c[:count]), *(0.5 + 0.5 * x for x in method.c[:count])),
+        name=f"{method.name}, two half steps",
+    )
 
 
 @cache

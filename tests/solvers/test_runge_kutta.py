@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import diffrax
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxnh.solvers import RUNGE_KUTTA
+from jaxnh.solvers.runge_kutta import two_half_steps
 from jaxnh.systems.particle import CHART
 from tests.flows.calm_particle import CALM
 from tests.flows.particle import STATES, SYSTEMS, B, twin
@@ -87,6 +89,19 @@ def test_stages_are_those_the_solution_needs(solver):
 
     assert sum(np.isnan(end(poisoned)) for poisoned in range(20)) == solver.stages
     assert abs(end(None) - np.exp(-0.1)) < 0.1**solver.convergence_order / 120
+
+
+@methods
+def test_two_half_steps(solver):
+    """As two steps of half the length; sums of twice as many products, each below 40, are rounded otherwise."""
+
+    def step(method, t, h, y):
+        return method.written_stages(lambda i, z: jnp.cos(t + method.c[i] * h) - z * z, h, y)
+
+    twice = two_half_steps(solver)
+    assert twice.stages == 2 * solver.stages
+    apart = step(solver, 0.25, 0.2, step(solver, 0.05, 0.2, 0.3)) - step(twice, 0.05, 0.4, 0.3)
+    assert abs(apart) < 2 * 30 * 40 * UNIT
 
 
 @pytest.mark.slow

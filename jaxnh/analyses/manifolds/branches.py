@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ from jaxnh.analyses.manifolds.saddles import Germs, Saddles, find_germs, find_or
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.maps.family import Maps, padded_like
 from jaxnh.maps.iterate import section_map
+from jaxnh.solvers import AdaptiveMethod, WrittenOutRungeKutta
+from jaxnh.solvers.runge_kutta import two_half_steps
 from jaxnh.systems.backward_motion import check_jumps
 from jaxnh.systems.discrete_map import DiscreteMap
 from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
@@ -37,7 +40,8 @@ class Side(NamedTuple):
     """The maps of one kind of manifolds.
 
     Attributes:
-        maps: with the steps that the accuracy asks for, and with twice as many.
+        maps: with the steps that the accuracy asks for, and with finer ones: twice as many, which where events cut them
+            are of two halves each.
         backward: whether they are inverse maps, those of stable manifolds.
     """
 
@@ -49,7 +53,7 @@ class BranchSet(NamedTuple):
     """Branches of one kind, of all points of the saddles and both sides of each, in this order.
 
     Attributes:
-        curves: as the steps that the accuracy asks for have them, and twice as many.
+        curves: as the steps that the accuracy asks for have them, and finer ones.
         branches: None where the manifold has not one dimension.
         deviation: error across them by the largest distance between both, in sizes, (branches,).
     """
@@ -59,24 +63,29 @@ class BranchSet(NamedTuple):
     deviation: Float[np.ndarray, " branches"]
 
 
-def side_of(make: Callable[[float], Maps], backward: bool) -> Side:
-    """Return the maps of a kind, from what makes them with so many times the steps."""
-    fine = make(2)
-    return Side((padded_like(make(1), fine), fine), backward)
-
-
 def sides_of(options: ManifoldsOptions, batch: LaneBatch) -> dict[int, Side]:
     """Return the maps of the kinds that are asked for."""
-    sides = dict[int, Side]()
+    finer, sides = _finer(batch), dict[int, Side]()
     if options.kind != "stable":
-        sides[0] = side_of(batch.strobe, backward=False)
+        sides[0] = _side(batch.strobe(), finer.strobe(2), backward=False)
     if options.kind != "unstable":
         try:
-            sides[1] = side_of(batch.inverse, backward=True)
+            sides[1] = _side(batch.inverse(), finer.inverse(2), backward=True)
             check_jumps(batch.flow, batch.p)
         except TypeError as error:
             raise OptionError(f"{error}; stable manifolds need that: take kind: unstable", "kind") from None
     return sides
+
+
+def _side(maps: Maps, fine: Maps, *, backward: bool) -> Side:
+    return Side((padded_like(maps, fine), fine), backward)
+
+
+def _finer(batch: LaneBatch) -> LaneBatch:
+    """Return the batch with steps of two halves each where events cut them, maybe into parts that more steps leave."""
+    if not (isinstance(batch.flow, PiecewiseSmooth) and isinstance(batch.solver, WrittenOutRungeKutta)):
+        return batch
+    return replace(batch, solver=two_half_steps(batch.solver))
 
 
 def find_saddle_orbits(
@@ -143,7 +152,8 @@ def grow_branches(
             deviation[b] = distance_from(branch, part, curves.size[b], wrap)
             largest[b] = np.max(np.abs(branch.points) / curves.size[b])
         deviation = error_of_distance(deviation, largest)
-        if isinstance(batch.flow, PiecewiseSmooth):  # events may cut steps, and twice as many, into the same parts
+        if isinstance(batch.flow, PiecewiseSmooth) and isinstance(batch.solver, AdaptiveMethod):
+            # Where they pass a corner steps of a lane's own err by chance, finer ones no less than those.
             deviation = np.maximum(deviation, batch.error_estimate)
     return BranchSet((curves, fine), branches, deviation)
 

@@ -41,6 +41,7 @@ _STILL = 1e-6  # sizes: a branch that has grown by less in a segment has settled
 _MOST_SEGMENTS = 512  # beyond those that are too short to be seen
 _MOST_TURNS = 4096
 _BLOWN = 1e6  # sizes: points further away are none
+_BROKEN = 1e3  # times as fast in x as beside it: between points on both sides of a jump
 _SAFETY = 2.0
 _LAST_DIGITS = 4.0  # of the largest coordinate: rounding of an image, whose operations are a few
 
@@ -261,7 +262,8 @@ def distance_from(branch: ManifoldBranch, points: Float[np.ndarray, "points d"],
     """Return the largest distance, in sizes, of points from the curve of a branch near its points beside them.
 
     What lies along the curve is no distance: where a point is on it depends on m and δ. The curve between points is a
-    parabola in x; points that lie along it further off than its neighbours are compared with all straight pieces.
+    parabola in x; points that lie along it further off than its neighbours are compared with all straight pieces, and
+    so are those next to where a jump breaks it.
     """
     x, u = branch.x[1:], branch.points[1:]
     if len(x) < 3:
@@ -270,12 +272,20 @@ def distance_from(branch: ManifoldBranch, points: Float[np.ndarray, "points d"],
     right, left = (x[2:] - x[1:-1])[:, None], (x[:-2] - x[1:-1])[:, None]
     bend = (ahead / right - back / left) / (right - left)
     slope = ahead / right - bend * right
-    gap = wrap(points[1:-1] - u[1:-1]) / size
+    # At an end it is that of the neighbour, and goes on beyond by as much as it comes from there.
+    slope = np.concatenate([slope[:1] + 2.0 * bend[:1] * left[:1], slope, slope[-1:] + 2.0 * bend[-1:] * right[-1:]])
+    bend = np.concatenate([bend[:1], bend, bend[-1:]])
+    low, high = np.append(left[:1, 0], -np.diff(x)), np.append(np.diff(x), right[-1:, 0])
+    gap = wrap(points - u) / size
     with np.errstate(invalid="ignore", divide="ignore"):
         shift = np.sum(gap * slope, axis=1) / np.sum(slope * slope, axis=1)
         across = np.linalg.norm(gap - shift[:, None] * slope - shift[:, None] ** 2 * bend, axis=1)
-    far = ~((left[:, 0] <= shift) & (shift <= right[:, 0])) & np.isfinite(points[1:-1]).all(axis=1)
-    across[far] = [_distance_from_pieces(u, point, size, wrap) for point in points[1:-1][far]]
+    speed = np.linalg.norm(wrap(np.diff(u, axis=0)) / size, axis=1) / np.diff(x)
+    broken = speed > _BROKEN * np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))
+    beside = broken[:-1] | broken[1:]
+    beside = np.concatenate([beside[:1], beside, beside[-1:]])
+    far = (beside | ~((low <= shift) & (shift <= high))) & np.isfinite(points).all(axis=1)
+    across[far] = [_distance_from_pieces(u, point, size, wrap) for point in points[far]]
     return float(np.nanmax(across, initial=0.0))
 
 

@@ -13,9 +13,8 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.equilibria.search import equilibria_from_starts, field_and_slopes
 from jaxnh.analyses.manifolds.local_surfaces import FieldValues, LocalSurface, fit_local_surface
 from jaxnh.analyses.manifolds.motions import ROUNDING, Front
-from jaxnh.analyses.manifolds.saddles import extent
 from jaxnh.analyses.manifolds.surfaces import Fan, Growth, SurfaceMesh, fitting, grow_fans, strip
-from jaxnh.analyses.random_starts import Box, box_corners, random_start_batch
+from jaxnh.analyses.random_starts import Box, random_start_batch
 
 _LEAST = 16  # motions
 _SAME = 1e-6  # sizes: equilibria nearer to each other are one
@@ -133,12 +132,6 @@ class Disc(NamedTuple):
 
 def _rounding(points: Float[np.ndarray, "points d"]) -> Float[np.ndarray, " points"]:
     return ROUNDING * (1.0 + np.linalg.norm(points, axis=1))
-
-
-def box_size(batch: LaneBatch, box: Box) -> Float[np.ndarray, "lanes d"]:
-    """Return half the sides of a box in each coordinate; of those that it leaves out their modulus, of angles one."""
-    corners = [batch.chart.host_points(corner.start) for corner in box_corners(batch, box)]
-    return extent(batch, np.stack(corners, axis=1))[0]
 
 
 def find_saddles(

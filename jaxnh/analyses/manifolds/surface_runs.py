@@ -9,12 +9,8 @@ from jaxnh.analyses.base import OptionError, Setting
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import SIDES, find_saddle_orbits, grow_branches, sides_of
 from jaxnh.analyses.manifolds.cycle_surfaces import grow_surfaces_of_cycles, whole_points
-from jaxnh.analyses.manifolds.equilibrium_surfaces import (
-    box_size,
-    find_saddles,
-    grow_surfaces_of_equilibria,
-    local_surfaces,
-)
+from jaxnh.analyses.manifolds.equilibrium_surfaces import find_saddles, grow_surfaces_of_equilibria, local_surfaces
+from jaxnh.analyses.manifolds.saddles import box_size
 from jaxnh.analyses.manifolds.surface_tables import Surfaces, surface_variables
 from jaxnh.analyses.manifolds.surfaces import Growth, SurfaceMesh
 from jaxnh.analyses.manifolds.tables import KINDS
