@@ -27,7 +27,7 @@ from jaxnh.analyses.edges.destinations import (
 from jaxnh.analyses.edges.shocks import Shocks, directions_in, least_shocks
 from jaxnh.analyses.edges.tables import OWN_NAMES, Edges, table, variables
 from jaxnh.analyses.edges.tracking import track_edges
-from jaxnh.analyses.manifolds.saddles import extent
+from jaxnh.analyses.manifolds.saddles import box_size, extent
 from jaxnh.analyses.options.basins import EdgesOptions
 from jaxnh.analyses.periodic.location import price_of_orbits
 from jaxnh.analyses.random_starts import box_corners, check_box, draw_starts, random_start_batch
@@ -68,7 +68,7 @@ def run(options: EdgesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datase
         )
     targets = Destinations(timed, timed.strobe(), [lane.targets for lane in known], options.max_periods)
     first = first_points(many, lanes)
-    space = Space(batch, extent(batch, first.reshape(batch.count, options.n_starts, -1))[0])
+    space = Space(batch, box_size(batch, options.box, first.reshape(batch.count, options.n_starts, -1)))
     whole = Space(timed, _halves_of_box(options, batch))
     pairs = _pairs(known, first, options.pairs)
     with lanes.stage(f"edges: {len(pairs.lane):,} boundaries", 0):

@@ -112,8 +112,19 @@ def explain_long_returns(section: System, lengths: Float[np.ndarray, " samples"]
         longest = section.longest * section.flow.period
         return f"it does not come back within {longest:.4g} units of time; a section that is met more often would do"
     if lengths[worst] > _LONG * np.nanmedian(lengths):
-        return f"it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut"
+        return (
+            f"it takes {lengths[worst]:.3g} units of time, which a section that is met more often would cut, and which "
+            "a smaller longest_return leaves out"
+        )
     return ""
+
+
+def explain_chance_return(length: float) -> str:
+    """Explain a return that some numbers of steps meet and others do not."""
+    return (
+        f"it comes back after {length:.3g} units of time or not at all, by chance; a smaller longest_return "
+        "leaves that out"
+    )
 
 
 def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = None) -> str:

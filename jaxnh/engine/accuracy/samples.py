@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnh.engine.accuracy.diagnostics import describe_rates, fault_of, lost_rank
+from jaxnh.engine.accuracy.diagnostics import describe_rates, explain_chance_return, fault_of, lost_rank
 from jaxnh.engine.accuracy.first_look import LANES_FOLLOWED, first_look, follow
 from jaxnh.engine.accuracy.sample_maps import Image, SampleMaps, Samples, differences, gaps_between, image_of
 from jaxnh.engine.accuracy.sizes import measure_sizes, rough_sizes
@@ -238,7 +238,7 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
         LostLaneError: the most that are tried lose a lane whose motion stays finite.
     """
     solver, steps = maps.scheme.reference, maps.scheme.rough_steps
-    start = image_of(samples.states)
+    start, later = image_of(samples.states), samples.states
     image = maps.image(maps.of(solver, steps), samples)
     lost, stays, without_return = np.ones(len(samples.row), bool), -1, 0
     while 2 * steps * solver.stages <= _MOST_SEED_KICKS:
@@ -262,7 +262,9 @@ def _seed_steps(maps: SampleMaps, samples: Samples) -> int:
             if all(_settles(part, samples, steps, states) for states in (samples.states, later)):
                 return steps
     if stays >= 0 and not maps.adaptive:
-        raise _not_followed(maps, samples, stays, select(samples.states, stays))
+        by_chance = maps.sectioned and np.isfinite(later.t[stays])
+        why = explain_chance_return(float(later.t[stays])) if by_chance else ""
+        raise _not_followed(maps, samples, stays, select(samples.states, stays), why)
     return max(steps, first_look(maps, samples).steps) if np.all(lost) else steps
 
 
