@@ -240,26 +240,17 @@ class _Lane:
         arrival = Arrival(event, event, sought, side, stretch, stretch)
         after, sound = self._after(march, reading, passages, arrived, arrival)
         if self._section is not None:
-            at_wall = event & (sought < self._jumps)
-            back = at_wall & is_on_section_first(
-                self._section, march, reading, after, once_more=self._system.arrives_at_ends
-            )
+            back = event & self._is_on_section_first(march, reading, after)
             passages = passages.to_end(self._section, back)
             moved, arrived, seen, fresh = moved & ~back, arrived & ~back, seen | back, fresh | back
 
-        def chosen(new: Any, old: Any) -> Any:
-            return jax.tree.map(lambda n, o: jnp.where(moved, n, o), new, old)
-
+        cleared = after._replace(rounding=jax.tree.map(lambda r: jnp.where(onwards, 0.0, r), after.rounding))
+        as_it_was = AfterEvent(march.moving, march.height, march.rate, march.side, march.rounding)
+        lane = jax.tree.map(lambda n, o: jnp.where(moved, n, o), cleared, as_it_was)
         ended = March(
-            moving=chosen(after.moving, march.moving),
+            **lane._asdict(),
             t=jnp.where(moved, t, march.t),
             step=jnp.where(onwards, march.step + 1, march.step),
-            height=chosen(after.height, march.height),
-            rate=chosen(after.rate, march.rate),
-            side=chosen(after.side, march.side),
-            rounding=jax.tree.map(
-                lambda r, o: jnp.where(onwards, 0.0, jnp.where(moved, r, o)), after.rounding, march.rounding
-            ),
             stretch=jnp.where(seen, h, stretch),
             share=jnp.where(moved, 1.0, jnp.where(seen, passages.guess, jnp.where(pausing, passages.turn, better))),
             low=jnp.where(fresh, passages.low, bracket[0]),
@@ -275,6 +266,13 @@ class _Lane:
         return ended, arrival
 
     # ---- parts of a trial
+
+    def _is_on_section_first(self, march: March, reading: Reading, after: AfterEvent) -> Array:
+        """Return whether a motion is on the section before it jumps at the wall that a trial has ended at."""
+        assert self._section is not None
+        once_more = self._system.arrives_at_ends
+        at_wall = march.sought < self._jumps
+        return at_wall & is_on_section_first(self._section, march, reading, after, once_more=once_more)
 
     def _passages(
         self, march: March, reading: Reading, h: Array, before: Heights, seeking: Array, finite: Array
