@@ -17,7 +17,6 @@ from jaxnh.maps.general_flow import Moving
 from jaxnh.maps.saltation import AfterEvent, Arrival, Reading
 
 _AT_ONE_TIME = 1.0 - 2.0**-20  # share of a trial up to an event from which on another is at the same time
-_AT_ONCE = 2.0**-20  # share of a trial below which a passage is at its beginning
 _SOME_WAY = 1e3  # times what is on a wall: a trial that goes further has not begun on it with a jump
 _BESIDE_END = 1.0 + 2.0**-20  # share up to which a passage at the end of a trial is looked for
 
@@ -154,9 +153,7 @@ def passages_within(
         for there, (now, low, high, hit) in zip(arriving, between, strict=True)
     ]
     passed = [part[3] & finite for part in between]
-    guesses = [
-        _share_of_passage(e, part[1], part[2], side) for e, part, side in zip(ends, between, before, strict=True)
-    ]
+    guesses = [straight_share(e, part[1], part[2]) for e, part in zip(ends, between, strict=True)]
     looked_for = [
         seeking | (march.settled & ~march.again & (march.sought != k) & ((guess < _AT_ONE_TIME) | now))
         for k, guess, now in zip(numbers, guesses, earlier, strict=True)
@@ -232,11 +229,3 @@ def _heights_at_end(
         for arrives, comes, b, rate, x in zip(arriving, come, before, reading.rate, kept, strict=True)
     ]
     return kept, arriving
-
-
-def _share_of_passage(ends: tuple[Array, Array, Array, Array], low: Array, high: Array, side: Array) -> Array:
-    """A first guess of where a height passes zero: by the straight line, but at once where it begins there."""
-    height, rate = ends[:2]
-    soon = -height / rate
-    at_once = (low == 0.0) & (rate * side < 0.0) & (soon < _AT_ONCE)
-    return jnp.where(at_once, jnp.maximum(soon, 0.0), straight_share(ends, low, high))
