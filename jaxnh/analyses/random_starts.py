@@ -19,6 +19,8 @@ from jaxnh.systems.rows import select
 Box = Mapping[str, tuple[float, float]]
 """Coordinates of the start by name, each with its lowest and its highest value."""
 
+_EQUAL = 1e-6  # of the modulus of a coordinate: one that differs by less does not
+
 
 def check_box(box: Box, setting: Setting) -> None:
     """Check that the option `box` is of coordinates that a start has, and that no axis is one of start states."""
@@ -70,6 +72,33 @@ def box_corners(batch: LaneBatch, box: Box) -> tuple[LaneBatch, LaneBatch]:
         random_start_batch(batch, 1, 0, {name: (side[k], side[k]) for name, side in box.items()})[0] for k in (0, 1)
     )
     return low, high
+
+
+def box_size(
+    batch: LaneBatch, box: Box, starts: Float[np.ndarray, "lanes starts d"] | None = None
+) -> Float[np.ndarray, "lanes d"]:
+    """Return the unit of lengths: half the sides of a box in each coordinate, of angles one.
+
+    Of a coordinate that the box leaves out it is half the extent of the starts, as these come to a section, or its
+    modulus where they do not differ.
+    """
+    corners = np.stack([batch.chart.host_points(corner.start) for corner in box_corners(batch, box)], axis=1)
+    half, size = 0.5 * np.abs(corners[:, 1] - corners[:, 0]), extent(batch, corners if starts is None else starts)[0]
+    given = ~np.array(batch.chart.angles) & (half > _EQUAL * np.abs(corners).max(axis=1))
+    return np.where(given, half, size)
+
+
+def extent(
+    batch: LaneBatch, points: Float[np.ndarray, "lanes starts d"]
+) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]]:
+    """Return half the extent of points, and that or what is more, their largest modulus; of angles one."""
+    finite = np.isfinite(points).all(axis=2, keepdims=True)
+    high = np.max(np.where(finite, points, -np.inf), axis=1)
+    low = np.min(np.where(finite, points, np.inf), axis=1)
+    half, modulus = 0.5 * (high - low), np.maximum(np.abs(high), np.abs(low))
+    size = np.where(half > _EQUAL * modulus, half, modulus)
+    known = ~np.array(batch.chart.angles) & (size > 0.0) & np.isfinite(size)
+    return np.where(known, size, 1.0), np.where(known, np.maximum(size, modulus), 1.0)
 
 
 def draw_starts(options: Any) -> Starts | None:

@@ -27,10 +27,9 @@ from jaxnh.analyses.edges.destinations import (
 from jaxnh.analyses.edges.shocks import Shocks, directions_in, least_shocks
 from jaxnh.analyses.edges.tables import OWN_NAMES, Edges, table, variables
 from jaxnh.analyses.edges.tracking import track_edges
-from jaxnh.analyses.manifolds.saddles import box_size, extent
 from jaxnh.analyses.options.basins import EdgesOptions
 from jaxnh.analyses.periodic.location import price_of_orbits
-from jaxnh.analyses.random_starts import box_corners, check_box, draw_starts, random_start_batch
+from jaxnh.analyses.random_starts import box_size, check_box, draw_starts, random_start_batch
 from jaxnh.analyses.section_points import first_points
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.systems.rows import spread_indices
@@ -69,7 +68,7 @@ def run(options: EdgesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datase
     targets = Destinations(timed, timed.strobe(), [lane.targets for lane in known], options.max_periods)
     first = first_points(many, lanes)
     space = Space(batch, box_size(batch, options.box, first.reshape(batch.count, options.n_starts, -1)))
-    whole = Space(timed, _halves_of_box(options, batch))
+    whole = Space(timed, box_size(timed, options.box))
     pairs = _pairs(known, first, options.pairs)
     with lanes.stage(f"edges: {len(pairs.lane):,} boundaries", 0):
         states = track_edges(space, targets, lanes, pairs, options.transient, options.max_returns, options.max_period)
@@ -81,12 +80,6 @@ def run(options: EdgesOptions, batch: LaneBatch, lanes: LaneRunner) -> xr.Datase
             shocks, tried = least_shocks(whole, targets, lanes, start, directions, options.reach)
     made = Edges(space, whole, known, pairs, states, shocks, tried)
     return xr.Dataset(variables(options, lanes, made), attrs=section_attrs(batch))
-
-
-def _halves_of_box(options: EdgesOptions, batch: LaneBatch) -> Float[np.ndarray, "lanes d"]:
-    """Return the units of shocks: half the box in its coordinates, in others the modulus of the start or one."""
-    points = [corner.without_section() for corner in box_corners(batch, options.box)]
-    return extent(batch.without_section(), np.stack([lane.chart.host_points(lane.start) for lane in points], axis=1))[0]
 
 
 def _pairs(known: Sequence[LaneAttractors], first: Float[np.ndarray, "starts d"], most: int) -> Bracket:

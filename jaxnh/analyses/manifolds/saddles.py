@@ -14,14 +14,13 @@ from jaxtyping import Bool, Float, Int
 from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.orbits.search import newton
 from jaxnh.analyses.periodic.newton_on_lanes import images
-from jaxnh.analyses.random_starts import Box, box_corners, random_start_batch
+from jaxnh.analyses.random_starts import Box, box_size, extent, random_start_batch
 from jaxnh.analyses.section_points import first_points, points_from
 from jaxnh.maps.family import Maps
 from jaxnh.orbits.recognition import equal_cycles
 from jaxnh.orbits.shooting import close_orbits
 
 _SCALES = 12  # of the distance of random starts from the middle, each half of the one before
-_EQUAL = 1e-6  # of the modulus of a coordinate: one that differs by less does not
 _NEUTRAL = 1e-6  # of ln |μ|: a manifold that grows more slowly is not followed
 
 
@@ -147,30 +146,3 @@ def _expanding(matrices: Float[np.ndarray, "n d d"]) -> tuple[Float[np.ndarray, 
     length = np.linalg.norm(vector, axis=1) * np.sign(vector[row, first])
     vector = vector / np.where(length == 0.0, 1.0, length)[:, None]
     return np.where(single, value, np.nan), np.where(single[:, None], vector, np.nan)
-
-
-def box_size(
-    batch: LaneBatch, box: Box, starts: Float[np.ndarray, "lanes starts d"] | None = None
-) -> Float[np.ndarray, "lanes d"]:
-    """Return the unit of lengths: half the sides of a box in each coordinate, of angles one.
-
-    Of a coordinate that the box leaves out it is half the extent of the starts, as these come to a section, or its
-    modulus where they do not differ.
-    """
-    corners = np.stack([batch.chart.host_points(corner.start) for corner in box_corners(batch, box)], axis=1)
-    half, size = 0.5 * np.abs(corners[:, 1] - corners[:, 0]), extent(batch, corners if starts is None else starts)[0]
-    given = ~np.array(batch.chart.angles) & (half > _EQUAL * np.abs(corners).max(axis=1))
-    return np.where(given, half, size)
-
-
-def extent(
-    batch: LaneBatch, points: Float[np.ndarray, "lanes starts d"]
-) -> tuple[Float[np.ndarray, "lanes d"], Float[np.ndarray, "lanes d"]]:
-    """Return half the extent of points, and that or what is more, their largest modulus; of angles one."""
-    finite = np.isfinite(points).all(axis=2, keepdims=True)
-    high = np.max(np.where(finite, points, -np.inf), axis=1)
-    low = np.min(np.where(finite, points, np.inf), axis=1)
-    half, modulus = 0.5 * (high - low), np.maximum(np.abs(high), np.abs(low))
-    size = np.where(half > _EQUAL * modulus, half, modulus)
-    known = ~np.array(batch.chart.angles) & (size > 0.0) & np.isfinite(size)
-    return np.where(known, size, 1.0), np.where(known, np.maximum(size, modulus), 1.0)

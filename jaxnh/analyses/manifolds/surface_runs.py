@@ -10,12 +10,12 @@ from jaxnh.analyses.batch import LaneBatch, LaneRunner
 from jaxnh.analyses.manifolds.branches import SIDES, find_saddle_orbits, grow_branches, sides_of
 from jaxnh.analyses.manifolds.cycle_surfaces import grow_surfaces_of_cycles, whole_points
 from jaxnh.analyses.manifolds.equilibrium_surfaces import find_saddles, grow_surfaces_of_equilibria, local_surfaces
-from jaxnh.analyses.manifolds.saddles import box_size
 from jaxnh.analyses.manifolds.surface_tables import Surfaces, surface_variables
 from jaxnh.analyses.manifolds.surfaces import Growth, SurfaceMesh
 from jaxnh.analyses.manifolds.tables import KINDS
 from jaxnh.analyses.options.orbits import ManifoldsOptions
 from jaxnh.analyses.periodic.flow_cycles import no_collocation
+from jaxnh.analyses.random_starts import box_size
 from jaxnh.analyses.trajectories.states import section_attrs
 from jaxnh.maps.section import Section
 
