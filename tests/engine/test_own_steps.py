@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jaxnh.engine.accuracy.calibration import Calibration
-from jaxnh.engine.accuracy.first_look import field_jumps
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
+from jaxnh.engine.accuracy.surface_jumps import field_jumps
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.exceptions import AccuracyError
 from jaxnh.maps.build import make_return_map

@@ -14,13 +14,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnh.engine.accuracy.diagnostics import explain_long_returns, explain_motion, explain_rounding, order_on_motion
-from jaxnh.engine.accuracy.first_look import field_jumps
 from jaxnh.engine.accuracy.own_steps import SPLIT, TooDearError, agree, check_price, has_own_steps, spread_over_unit
 from jaxnh.engine.accuracy.reference import MOST_KICKS, NO_MATTER, refine_reference, roundings_of_sums
 from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples, differences, gaps_between
 from jaxnh.engine.accuracy.samples import are_lost_by, take_samples
 from jaxnh.engine.accuracy.sizes import sizes_by_name
 from jaxnh.engine.accuracy.step_search import search_steps
+from jaxnh.engine.accuracy.surface_jumps import field_jumps
 from jaxnh.engine.axes import SweepPoints
 from jaxnh.engine.executor.lanes import LaneExecutor
 from jaxnh.exceptions import AccuracyError, LostLaneError

@@ -141,9 +141,8 @@ def explain_motion(maps: SampleMaps, sample: Samples, length: float | None = Non
         return why
     if not np.all(finite := is_finite(passed)):
         rates = _fastest_rates(flow, times[:1], select(passed, slice(1)), p)
-        if (
-            rates.fastest * (times[1] - times[0]) > _UNSTABLE
-        ):  # of the steps that are to show the motion, no fault of it
+        # Of the steps that are to show the motion, and no fault of it.
+        if rates.fastest * (times[1] - times[0]) > _UNSTABLE:
             return f"{rates.describe(flow)}; slow down what is fast in it, or ask for less"
         _, finer_times, finer, _ = _motion_of(maps, sample, length, _FINER * _ROUGHLY)
         if not np.all(still := is_finite(finer)):

@@ -1,13 +1,13 @@
 """A first look at a motion with steps that follow it, before anything is known of how many a period needs.
 
 By the pair of orders 3 and 2 of Bogacki and Shampine, Appl. Math. Lett. 2 (1989) 321, each lane with steps of its own.
-So are jumps of the field met that lie on the way.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,6 @@ from jaxnh.engine.accuracy.sample_maps import SampleMaps, Samples
 from jaxnh.maps.batching import as_batched
 from jaxnh.maps.section import flow_of
 from jaxnh.systems.flow import Flow, Parameters
-from jaxnh.systems.piecewise_smooth import PiecewiseSmooth
 from jaxnh.systems.rows import spread_indices
 from jaxnh.systems.state import State, error_components
 
@@ -35,15 +34,16 @@ _OVERFLOWING = 1e-9 * float(np.finfo(float).max)  # what has come so far in step
 _VANISHES = 1e-13  # of the largest coordinate: below it one may be nothing but the rounding of others
 _LIMITING = 0.05  # of the tolerance: an error by which the length of a step was chosen, as that of the first is not
 _MOST_TRIALS = 1 << 18
-_WATCHED = 32  # samples on whose motions jumps of the field are looked for
-_HALVINGS = 40  # of a step, to the surface that it passes
-_NO_JUMP = 1e-6  # of the largest rate so far: a change across a surface that may be its distance from the place
 _MOST_STEPS = 1 << 16  # of the reference, that samples are taken with
 _ORDER = 3
 # The pair: the last stage is taken at the end of a step, and its row is the method of order 3.
 _C = np.array([0.0, 1 / 2, 3 / 4, 1.0])
 _A = np.array([[0.0] * 4, [1 / 2, 0.0, 0.0, 0.0], [0.0, 3 / 4, 0.0, 0.0], [2 / 9, 1 / 3, 4 / 9, 0.0]])
 _ERROR = np.array([-5 / 72, 1 / 12, 1 / 9, -1 / 8])
+
+
+Watch = Callable[[tuple[Array, State], tuple[Array, State]], Any]
+"""Numbers, none less than zero, of a step: from times and states at both its ends."""
 
 
 class FirstLook(NamedTuple):
@@ -59,7 +59,7 @@ class FirstLook(NamedTuple):
     explanation: str
 
 
-class _Motion(NamedTuple):
+class FollowedMotion(NamedTuple):
     """One lane on its way.
 
     Attributes:
@@ -69,9 +69,7 @@ class _Motion(NamedTuple):
         shortest: shortest step so far that the motion has needed.
         size: largest modulus of each coordinate so far.
         way: largest distance of each from where it began.
-        fastest: largest modulus of each rate so far.
-        jump: largest jump of the field so far, of the largest rate, at any surface and at one whose height depends on
-            the state; of a flow that is watched.
+        watched: largest of each number so far that its steps are watched for, if they are.
         trials: steps tried.
     """
 
@@ -81,8 +79,7 @@ class _Motion(NamedTuple):
     shortest: Array
     size: Float[Array, " d"]
     way: Float[Array, " d"]
-    fastest: Float[Array, " d"]
-    jump: Float[Array, " 2"]
+    watched: Any
     trials: Array
 
 
@@ -120,26 +117,6 @@ def follow(maps: SampleMaps, samples: Samples, length: float | None = None) -> P
     return Passage(*maps.by_flow(_follow, shared, few, 1))
 
 
-def field_jumps(maps: SampleMaps, samples: Samples) -> tuple[bool, bool]:
-    """Return whether the field jumps where motions from samples pass its surfaces, within a period or unit of time.
-
-    Returns:
-        Whether it does at any surface; and at one whose height depends on the state, past which tangents jump as well.
-    """
-    if not isinstance(maps.flow, PiecewiseSmooth):
-        return False, False
-    few = samples.take_lanes(spread_indices(len(samples.row), _WATCHED))
-    if maps.sectioned:
-        few = few._replace(states=few.states.state)
-
-    def shared(row: int) -> tuple[Flow, float]:
-        flow = flow_of(maps.flows[row])
-        return flow, flow.period
-
-    anywhere, moving = np.any(np.asarray(maps.by_flow(_largest_jumps, shared, few, 1)) > _NO_JUMP, axis=0)
-    return bool(anywhere), bool(moving)
-
-
 def first_look(maps: SampleMaps, samples: Samples, periods: float = 1.0) -> FirstLook:
     """Look whether motions come through so many periods, or units of time, and how many steps one takes."""
     length = periods * maps.flow.period
@@ -161,21 +138,16 @@ def first_look(maps: SampleMaps, samples: Samples, periods: float = 1.0) -> Firs
 
 def _follow(flow: Flow, length: ArrayLike, state: State, p: Parameters) -> tuple[Array, Array, Array, Array]:
     """One lane's part of a `Passage`."""
-    end = _march(flow, length, state, p)
+    end = march(flow, length, state, p)
     count = len(jax.tree.leaves(error_components(state)))
     return end.t / length, jnp.asarray(length) / end.shortest, end.size[:count], end.way[:count]
 
 
-def _largest_jumps(flow: PiecewiseSmooth, length: ArrayLike, state: State, p: Parameters) -> Float[Array, " 2"]:
-    """Largest jump of the field on one lane's way, at any surface and at one that moves with the state."""
-    return _march(flow, length, state, p, watched=True).jump
-
-
-def _march(flow: Flow, length: ArrayLike, state: State, p: Parameters, *, watched: bool = False) -> _Motion:
+def march(flow: Flow, length: ArrayLike, state: State, p: Parameters, watch: Watch | None = None) -> FollowedMotion:
     """One lane at the end of a length of time, or where it goes no further.
 
     Args:
-        watched: whether jumps of the field are looked for, of a flow with surfaces.
+        watch: what its steps are watched for.
     """
     flat, whole = ravel_pytree(state)
     start = jnp.abs(flat)
@@ -183,10 +155,10 @@ def _march(flow: Flow, length: ArrayLike, state: State, p: Parameters, *, watche
     def rate(t: Array, y: Float[Array, " d"]) -> Float[Array, " d"]:
         return ravel_pytree(flow.rhs(t, whole(y), p))[0]
 
-    def unfinished(motion: _Motion) -> Array:
+    def unfinished(motion: FollowedMotion) -> Array:
         return (motion.t < length) & (motion.h > _SHORTEST * length) & (motion.trials < _MOST_TRIALS)
 
-    def step(motion: _Motion) -> _Motion:
+    def step(motion: FollowedMotion) -> FollowedMotion:
         y, t = motion.y, motion.t
         h = jnp.minimum(motion.h, length - t)
 
@@ -202,66 +174,23 @@ def _march(flow: Flow, length: ArrayLike, state: State, p: Parameters, *, watche
         error = jnp.where(jnp.all(jnp.isfinite(new)) & jnp.isfinite(error), error, jnp.inf)
         good = error <= 1.0
         last = h >= length - t
-        fastest = jnp.maximum(motion.fastest, jnp.max(jnp.abs(k), axis=0))
-        jump = motion.jump
-        if watched and isinstance(flow, PiecewiseSmooth):
-            across = _across_surfaces(flow, p, (t, whole(y)), (t + h, whole(new)))
-            jump = jnp.maximum(jump, jnp.max(jnp.where(across > 0.0, across / fastest[None], 0.0), axis=1))
+        largest = motion.watched
+        if watch:
+            largest = jax.tree.map(jnp.maximum, largest, watch((t, whole(y)), (t + h, whole(new))))
         change = jnp.clip(0.9 * jnp.maximum(error, 1e-9) ** (-1.0 / _ORDER), 0.1, 5.0)
-        return _Motion(
+        return FollowedMotion(
             jnp.where(good, new, y),
             jnp.where(good, jnp.where(last, length, t + h), t),
             h * change,
             jnp.where(good & ~last & (error > _LIMITING), jnp.minimum(motion.shortest, h), motion.shortest),
             jnp.where(good, size, motion.size),
             jnp.where(good, jnp.maximum(motion.way, jnp.abs(new - flat)), motion.way),
-            jnp.where(good, fastest, motion.fastest),
-            jnp.where(good, jump, motion.jump),
+            jax.tree.map(lambda new, old: jnp.where(good, new, old), largest, motion.watched),
             motion.trials + 1,
         )
 
     zero = jnp.zeros_like(flat[0])
-    still = jnp.zeros_like(flat)
-    first, none = zero + _FIRST_STEP * length, jnp.stack([zero, zero])
-    begin = _Motion(flat, zero, first, zero + length, start, still, still, none, jnp.int32(0))
+    seen = jax.tree.map(jnp.zeros_like, watch((zero, state), (zero, state))) if watch else ()
+    first = zero + _FIRST_STEP * length
+    begin = FollowedMotion(flat, zero, first, zero + length, start, jnp.zeros_like(flat), seen, jnp.int32(0))
     return lax.while_loop(unfinished, step, as_batched(begin, zero))
-
-
-def _across_surfaces(
-    flow: PiecewiseSmooth, p: Parameters, begin: tuple[Array, State], end: tuple[Array, State]
-) -> Float[Array, "2 d"]:
-    """Largest change of each rate across any surface that a step passes, where its chord does; and across moving ones.
-
-    At a corner nothing changes anywhere on the surface, whether or not the motion itself passes it there.
-    """
-    first = len(flow.jumps)
-
-    def at(share: ArrayLike) -> tuple[Array, State]:
-        return jax.tree.map(lambda a, b: a + share * (b - a), begin, end)
-
-    def heights(share: ArrayLike) -> Float[Array, " surfaces"]:
-        return jnp.stack(flow.heights(*at(share), p)[first:])
-
-    before, after = heights(0.0), heights(1.0)
-    flat, whole = ravel_pytree(begin[1])
-    total = jnp.zeros((2, len(flat)))
-    for k in range(flow.switches):
-
-        def halve(_: int, ends: tuple[Array, Array], k: int = k) -> tuple[Array, Array]:
-            low, high = ends
-            middle = 0.5 * (low + high)
-            same = heights(middle)[k] * before[k] > 0.0
-            return jnp.where(same, middle, low), jnp.where(same, high, middle)
-
-        zero = jnp.zeros_like(begin[0])
-        place = at(lax.fori_loop(0, _HALVINGS, halve, as_batched((zero, zero + 1.0), zero))[0])
-        sides = flow.sides(*place, p)
-        above, below = (
-            ravel_pytree(flow.branch(*place, p, (*sides[: first + k], zero + side, *sides[first + k + 1 :])))[0]
-            for side in (1.0, -1.0)
-        )
-        there, y = place[0], ravel_pytree(place[1])[0]
-        slope = jax.grad(lambda z, k=k, t=there: flow.heights(t, whole(z), p)[first + k])(y)
-        across = jnp.where(before[k] * after[k] < 0.0, jnp.abs(above - below), 0.0)
-        total = jnp.maximum(total, jnp.stack([across, jnp.where(jnp.any(slope != 0.0), across, 0.0)]))
-    return total
